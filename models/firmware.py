@@ -21,9 +21,11 @@ from greybox.models.controller import ControlUnit
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
 from greybox.workflows.experiment.control_check import ControlCheck, check_controller
 from greybox.workflows.experiment.controller import sensors_of
+from greybox.workflows.experiment.drawn_loops import drawn_loops
 from greybox.workflows.experiment.measured_loop import broken_loop
-from greybox.workflows.experiment.safe_gains import RANDOM_ERROR
+from greybox.workflows.experiment.required_margins import RANDOM_ERROR
 from greybox.workflows.experiment.sampled_loop import DOT, linear_controller
+from greybox.workflows.experiment.todays_loop import noise_gain
 
 GAINS = (*ardupilot.GAINS, "K")  # K is PX4's factor of P, I and D
 # What is logged of a control of 1, by the message or the column; 45 degrees of a surface are 4500.
@@ -559,19 +561,37 @@ def safe_gains_of_log(fits, recording, gains=(), axis="", *, signals=None, **req
     require_known(gains, names, "gain", f"the log of {flown.axis}")
     gains = gains if isinstance(gains, Mapping) else dict.fromkeys(gains)
     ranges = {names[name]: ends for name, ends in gains.items()}
-    safe = gb.safe_gains(fits, flown.controllers, ranges, **requirements)
-    values, today = (dict(zip(gains, m.values(), strict=True)) for m in (safe.values, safe.today))
-    comparison = safe.comparison
-    if comparison:
-        named = dict(zip(gains, comparison.gains.values(), strict=True))
-        comparison = replace(comparison, gains=named)
-    return replace(
-        safe,
-        values=values,
-        today=today,
-        comparison=comparison,
-        notes=(*flown.notes, *safe.notes),
-    )
+    sizes = logged_disturbances(flown, recording, fits[0])
+    safe = gb.safe_gains(fits, flown.controllers, ranges, **{**sizes, **requirements})
+    return safe.renamed([*gains], flown.notes)
+
+
+def logged_disturbances(flown, recording, fit):
+    """Return ``noise`` and ``moment`` of simulated flights that are like a logged one.
+
+    The moment is as large as the control in the log, whose largest hundredth is left out. The noise
+    is that of the rate, white on the samples of the loop, with which the noise of the control is
+    that of the log.
+    """
+    record = flown.record(recording)
+    control = record["u"]
+    unit = math.prod(c.values["unit"] for c in flown.controllers if isinstance(c, ControlUnit))
+    names = {own: fit.parts[0].outside(own) for own in fit.model_of(0).parameters}
+    values = {own: fit.estimate[name] for own, name in names.items()}
+    loops = drawn_loops(fit.model_of(0), flown.controllers, values, at=fit.parts[0].at, part=0)
+    sensor = next((n for n in loops.sensors if n.endswith(DOT)), sensors_of(flown.controllers)[0])
+    gain = float(noise_gain(loops, sensor, loops.inputs[0])[0])
+    noise = unit * white_noise(control) / gain if gain > 0 else 0.0
+    moment = unit * float(np.quantile(np.abs(control - np.median(control)), 0.99))
+    return {"noise": {sensor: noise}, "moment": moment}
+
+
+def white_noise(samples):
+    """Return the standard deviation of white noise in samples of a slow signal.
+
+    Fourth differences take out what is slow: at a tenth of the rate, 0.15 of a signal remains.
+    """
+    return float(np.std(np.diff(samples, 4))) / math.sqrt(70)  # 1, 4, 6, 4, 1 squared
 
 
 def disagreements(model, measured):

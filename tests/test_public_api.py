@@ -29,9 +29,9 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_responses "
     "segment_table write_response write_responses",
-    "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins SafeGains SinePlan ardupilot_script broken_loop check_controller "
+    "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins RejectionBandwidth SafeGains SinePlan ardupilot_script broken_loop check_controller "
     "expected_errors margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
-    "formulation": "Criterion EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
+    "formulation": "Criterion Disturbance EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_matrix select_orders",
@@ -47,7 +47,7 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap grid read_study",
-    "validation": "Comparison Differences NestedTest StepwiseSelection compare differences nested_test "
+    "validation": "Comparison Differences JointTest NestedTest StepwiseSelection compare differences joint_test nested_test "
     "stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]

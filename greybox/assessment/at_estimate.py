@@ -1,7 +1,7 @@
 """The model of a fit at its estimate, with covariance and assumptions, to be run on records."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,13 +31,19 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
         If the fit has no value for a parameter of the model.
     """
     record = part if isinstance(part, FittedRecord) else None
-    biases, gains, added = (record.biases, record.gains, record.added) if record else ((), (), ())
+    biases: tuple[str, ...] = ()
+    gains: tuple[tuple[str, str], ...] = ()
+    if record is not None:
+        biases, gains = record.biases, record.gains
     if inputs is None:
-        inputs = record.inputs if record else "record"
+        inputs = "record" if record is None else record.inputs
 
-    names = [*model.parameters, *map(bias_name, biases), *(f"K_{s}_{o}" for s, o in gains)]
+    names = [*model.parameters]
+    names += [bias_name(signal) for signal in biases]
+    names += [f"K_{state}_{output}" for state, output in gains]
+    # Names of these values in the fit, which a problem may rename.
     outside = {name: part.outside(name) for name in names}
-    estimated = [part.outside(name) for name in (*model.parameters, *added)]
+    estimated = [part.outside(name) for name in (*model.parameters, *part.added)]
 
     for name in estimated:
         if name not in fit.estimate:
@@ -47,22 +53,25 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
                 "give the model that was fitted, or the values as {name: value}."
             )
 
-    # The standard errors of the fit take a parameter that its bound holds as known. Predictions
-    # must do the same, or their bands would contain an error that no parameter of the fit has.
-    free = {q.name: q for q in fit.quantities if q.kind == "free"}
-    is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
-    if fit.directions is not None:
-        is_known &= fit.known_directions(estimated).is_known
     values = array_of(fit.estimate, estimated)
-    covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
+    covariance = _covariance(fit, estimated)
 
     # With process noise the gains are not parameters: they follow from the variances of the noise.
     if record is not None and record.gain is not None and record.gain_slope is not None:
-        # Gains come last in `names`; the fit has their derivatives with respect to its estimates.
+        # `names` has parameters and biases, then gains; `estimated` has the same parameters and
+        # biases, then variances. The fit has the derivatives of the gains by all of `estimated`.
         count = len(names) - len(gains)
         values = np.concatenate([values[:count], record.gain])
         slope = np.vstack([np.eye(count, len(estimated)), record.gain_slope])
         covariance = propagated(slope, covariance)
+
+    # Free parameters have the bounds that the problem set.
+    by_name = fit.by_name
+    declared = {}
+    for name, parameter in model.parameters.items():
+        quantity = by_name[outside[name]]
+        is_free = quantity.kind == "free"
+        declared[name] = restated(name, parameter, bounds=quantity.bounds) if is_free else parameter
 
     return ModelAtEstimate(
         label=model.label,
@@ -72,14 +81,20 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
         covariance=covariance,
         criterion=criterion_of(inputs, biases, gains),
         part=record,
-        declared={
-            name: restated(name, p, bounds=free[outside[name]].bounds)
-            if outside[name] in free
-            else p
-            for name, p in model.parameters.items()
-        },
-        own=tuple(_own_names(fit, model, record, outside) if record else ()),
+        declared=declared,
+        own=() if record is None else tuple(_own_names(fit, model, record, outside)),
     )
+
+
+def _covariance(fit: Any, names: Sequence[str]) -> Array:
+    """Return the covariance of estimates, zero for parameters whose bound is active."""
+    # Standard errors of the fit count such a parameter as known. Predictions must do the same, or
+    # their bands would contain an error that no parameter of the fit has.
+    quantities = [fit.by_name[name] for name in names]
+    is_known = np.array([q.kind == "free" and q.at_bound for q in quantities], dtype=bool)
+    if fit.directions is not None:
+        is_known &= fit.known_directions(names).is_known
+    return np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(names))
 
 
 def propagated(slope: Array, covariance: Array) -> Array:
@@ -132,16 +147,15 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
         require_whole(f"part of a fit with {counted(count, 'part')}", part, -count, count - 1)
         return part % count
 
-    def rank(k: int) -> int:
+    def preference(k: int) -> tuple[bool, bool, bool]:
+        # False sorts before True: the part of the record, other records, other data, priors.
         data = fit.parts[k].data
-        if fit.parts[k].is_prior:  # a prior is no data to simulate
-            return 3
-        if not isinstance(data, Record):
-            return 2
-        return int(record is None or not share_samples(data, record))
+        is_record = isinstance(data, Record)
+        is_of_record = is_record and record is not None and share_samples(data, record)
+        return fit.parts[k].is_prior, not is_record, not is_of_record
 
     # sorted() is stable, so that among equals the first part is chosen.
-    records_first = sorted(range(count), key=rank)
+    records_first = sorted(range(count), key=preference)
     if model is not None:
         class_name = _class_name(reference(model))
         for k in records_first:

@@ -30,12 +30,12 @@ class NoProfileError(ValueError):
 
 @frozen
 class Point:
-    """A minimum with something held at a value.
+    """A minimum with a quantity held at a value.
 
     Attributes
     ----------
     z : (p,) array
-        In the variables of the solver.
+        The parameters in the variables of the solver.
     cost : float
         Infinite where the solver failed.
     nodes : tuple of arrays
@@ -50,7 +50,7 @@ class Point:
 
 
 class HeldMinima:
-    """The minima of a problem with something held, and its minimum at an estimate x (p,).
+    """The minima of a problem with a quantity held, and its minimum at an estimate x (p,).
 
     Attributes
     ----------
@@ -108,17 +108,18 @@ class HeldMinima:
 
     def lowest(self, held: Held, starts: Sequence[Point], value: float) -> Point:
         """Return the lowest minimum from these starts with a quantity held at a value."""
-        lower, upper = self.nlp.lower.copy(), self.nlp.upper.copy()
-        if isinstance(held, int):
-            lower[held] = upper[held] = value
-        lower, upper = map(self.nlp.scaling.to_solver, (lower, upper))
+        lower = self.nlp.lower.copy()
+        upper = self.nlp.upper.copy()
+        # A parameter is held by its bounds, any other quantity by an equation.
+        is_parameter = isinstance(held, int)
+        if is_parameter:
+            lower[held] = value
+            upper[held] = value
+        lower = self.nlp.scaling.to_solver(lower)
+        upper = self.nlp.scaling.to_solver(upper)
 
-        if self._newton is None or not isinstance(held, int):
-            minima = []
-            for start in starts:
-                equation = None if isinstance(held, int) else steep_equation(held, start.z, value)
-                minima.append(self._solved(self._solver.within(lower, upper, equation), start))
-        else:
+        minima = []
+        if self._newton is not None and is_parameter:
             ends = self._newton.minimize(
                 np.array([start.z for start in starts]).T,
                 from_near=True,
@@ -126,13 +127,16 @@ class HeldMinima:
                 tolerance=TOLERANCE,
                 bounds=(lower[:, None], upper[:, None]),
             )
-            pairs = zip(ends.z.T, ends.at_minimum, strict=True)
-            minima = [
-                self._response_minimum(z) if at_minimum else Point(z) for z, at_minimum in pairs
-            ]
+            for z, at_minimum in zip(ends.z.T, ends.at_minimum, strict=True):
+                minima.append(self._response_minimum(z) if at_minimum else Point(z))
+        else:
+            for start in starts:
+                equation = None if is_parameter else steep_equation(held, start.z, value)
+                minima.append(self._solved(self._solver.within(lower, upper, equation), start))
         return min(minima, key=lambda minimum: minimum.cost)
 
     def _solved(self, solver: GaussNewton, start: Point) -> Point:
+        """Return the minimum that a solver finds from a start."""
         x = self.nlp.scaling.to_parameters(solver.limits.clipped(start.z))
         # From the states of a neighboring point a solution takes a few iterations.
         outcome = solver.solved_from(x, start.nodes) if start.nodes else None
@@ -161,8 +165,8 @@ class HeldMinima:
 @one_thread_at_a_time
 def steep_equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
     """Return (z) -> quantity less value, with slope one at z (p,), like a bound."""
-    # The solver measures violations in absolute terms: without the scaling an equation in small
-    # units would hardly hold, and one in large units would outweigh the cost.
+    # The solver measures violations in absolute terms: without the scaling, an equation in small
+    # units would be met inaccurately, and one in large units would outweigh the cost.
     point = ca.SX.sym("z", len(z))
     size = float(np.linalg.norm(slope_of(quantity, z)))
     return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])
@@ -171,4 +175,5 @@ def steep_equation(quantity: ca.Function, z: Array, value: float) -> ca.Function
 @one_thread_at_a_time
 def slope_of(quantity: ca.Function, z: Array) -> Array:
     """Return the derivatives (p,) of a quantity (z) -> value at the point z (p,)."""
-    return quantity.jacobian()(z, 0).full().ravel()
+    nominal_output = 0  # CasADi's Jacobian takes the output, too, but does not use it
+    return quantity.jacobian()(z, nominal_output).full().ravel()

@@ -1,4 +1,4 @@
-"""How well each parameter is determined, and which combinations are although no member is."""
+"""How well the data determine each parameter, and which combinations of poorly determined ones."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,10 +15,19 @@ from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted
 from greybox.engine.covariance.known_directions import BLIND, KnownDirections
 
-# Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
-# Identification, ch. 12.
+# Guidelines as shares of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft
+# System Identification, ch. 12.
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
+
+# Factor by which the error of a reported combination is smaller than those of its members.
+GAIN = 5.0
+
+# Squared condition number above which a direction counts as not determined. In double precision,
+# rounding alone gives a singular matrix the condition number 1e16.
+LARGEST_SQUARED_CONDITION = 1e14
+
+SUPERSCRIPTS = {2: "²", 3: "³"}
 
 
 @dataclass(frozen=True)
@@ -87,12 +96,10 @@ class Identifiability(Printed):
     @property
     def beyond(self) -> tuple[str, ...]:
         """The parameters beyond a guideline, which the data do not determine well."""
-        well = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
-        return tuple(
-            n
-            for n, good in zip(self.names, well, strict=True)
-            if not good and n not in self.at_bound
-        )
+        # NaN is within no guideline.
+        within = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
+        names = [name for name, is_within in zip(self.names, within, strict=True) if not is_within]
+        return tuple(name for name in names if name not in self.at_bound)
 
     def __repr__(self) -> str:
         return one_line(
@@ -113,38 +120,39 @@ def identifiability(
     # A parameter that is fixed by its bound must not appear as a direction without information.
     is_known = directions.is_known
     places = [k for k, name in enumerate(names) if not (name in at_bound and is_known[k])]
-    inside = directions.of(places)
-    inside_names = [names[k] for k in places]
-    errors = inside.errors(np.eye(len(places)))
-    matrix = inside.matrix
+    unknown = directions.of(places)
+    unknown_names = [names[k] for k in places]
+    unknown_units = [units[k] for k in places]
+    errors = unknown.errors(np.eye(len(places)))
+    matrix = unknown.matrix
     diagonal = np.diag(matrix)
     is_seen = diagonal > BLIND**2 * diagonal.max(initial=0.0)
 
     error = np.full(len(names), np.nan)
     insensitivity = np.full(len(names), np.nan)
     with np.errstate(all="ignore"):
-        alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
-        error[places] = errors / np.abs(inside.at)
-        insensitivity[places] = alone / np.abs(inside.at)
+        error_alone = unknown.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
+        error[places] = errors / np.abs(unknown.at)
+        insensitivity[places] = error_alone / np.abs(unknown.at)
     # A bound determines the value, so errors relative to it mean nothing. It is often zero.
-    error[np.isin(names, at_bound)] = insensitivity[np.isin(names, at_bound)] = math.nan
+    is_at_bound = np.isin(names, at_bound)
+    error[is_at_bound] = math.nan
+    insensitivity[is_at_bound] = math.nan
 
-    r = inside.correlation
+    r = unknown.correlation
     # At a correlation of 0.9, each error is 2.3 times the error with the other parameter known.
     pairs = [pair for pair in combinations(range(len(places)), 2) if abs(r[pair]) > 0.9]
-    correlated = tuple(
-        (inside_names[i], inside_names[j], float(r[i, j]))
-        for i, j in sorted(pairs, key=lambda pair: -abs(r[pair]))
-    )
+    pairs.sort(key=lambda pair: -abs(r[pair]))
+    correlated = [(unknown_names[i], unknown_names[j], float(r[i, j])) for i, j in pairs]
 
     return Identifiability(
         names=tuple(names),
         error=error,
         insensitivity=insensitivity,
         at_bound=tuple(at_bound),
-        correlated=correlated,
+        correlated=tuple(correlated),
         condition=_condition(matrix),
-        combinations=tuple(_combinations(inside_names, [units[k] for k in places], inside, errors)),
+        combinations=tuple(_combinations(unknown_names, unknown_units, unknown, errors)),
     )
 
 
@@ -156,7 +164,7 @@ def _condition(matrix: Array) -> float:
     if not np.all(length > 0):
         return math.inf
     squared = float(np.linalg.cond(matrix / np.outer(length, length)))
-    return math.sqrt(squared) if squared < 1e14 else math.inf
+    return math.sqrt(squared) if squared < LARGEST_SQUARED_CONDITION else math.inf
 
 
 def _combinations(
@@ -167,13 +175,16 @@ def _combinations(
 ) -> Iterator[DeterminedCombination]:
     """Yield the simplest independent combinations that are determined."""
     value = directions.at
-    loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
-    products = [*_products([k for k in loose if value[k] != 0])]
-    members = [*products, *_sums(loose, units)]
-    is_product = np.arange(len(members)) < len(products)
-    rows = np.zeros((len(members), len(value)))
-    for row, powers in zip(rows, members, strict=True):
-        row[[*powers]] = [*powers.values()]
+    # Also true where an error is not known, NaN.
+    poorly_determined = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
+    products = [*_products([k for k in poorly_determined if value[k] != 0])]
+    candidates = [*products, *_sums(poorly_determined, units)]
+    is_product = np.arange(len(candidates)) < len(products)
+    # A row has the powers of the parameters in a product, or their signs in a sum.
+    rows = np.zeros((len(candidates), len(value)))
+    for row, powers in zip(rows, candidates, strict=True):
+        for place, power in powers.items():
+            row[place] = power
 
     gradients = directions.gradients(rows, is_product)
     error = directions.errors(gradients)
@@ -185,23 +196,26 @@ def _combinations(
     # larger member.
     largest = np.abs(rows * value).max(axis=1, initial=0.0)
     size = np.where(is_product, 1.0, np.maximum(np.abs(rows @ value), largest))
-    # A combination is reported if its error is five times smaller than those of its members.
-    good = (error * 5.0 < smallest) & (error < ERROR_GUIDELINE * size)
-    if beside := directions.elsewhere:  # they must be determined there too
-        good &= ~np.isnan(beside.errors(beside.gradients(rows, is_product)))
+    is_determined = (error * GAIN < smallest) & (error < ERROR_GUIDELINE * size)
+    # A second point, if there is one, must determine the combination too.
+    beside = directions.elsewhere
+    if beside is not None:
+        is_determined &= ~np.isnan(beside.errors(beside.gradients(rows, is_product)))
 
     # The simplest combinations come first: fewest factors, products before sums, fewest divisors,
-    # smallest error.
-    factors, divisors = np.abs(rows).sum(axis=1), (rows < 0).sum(axis=1)
+    # smallest error. The last key of `lexsort` counts first.
+    factors = np.abs(rows).sum(axis=1)
+    divisors = (rows < 0).sum(axis=1)
     order = np.lexsort((error / smallest, divisors, ~is_product, factors))
     spanned = np.zeros((0, len(value)))
-    for k in order[good[order]]:
+    for k in order[is_determined[order]]:
         scaled = gradients[k] * directions.size
         extended = np.vstack([spanned, unit_length(scaled, 0)])
         # A combination that follows from the previous ones is left out.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
-            yield _named(names, value, rows[k], float(error[k]), bool(is_product[k]))
+            combined = _product if is_product[k] else _sum
+            yield combined(names, value, rows[k], float(error[k]))
 
 
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
@@ -230,48 +244,68 @@ def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, in
             yield {i: 1, j: -1}
 
 
-def _named(
-    names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
+def _product(
+    names: Sequence[str], value: Array, powers: Array, relative_error: float
 ) -> DeterminedCombination:
-    """Return a combination with its formula, written with few divisors or a value above one."""
-    if is_product:
-        turned = (row < 0).sum() - (row > 0).sum()
-        smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0
-        if turned > 0 or (turned == 0 and smaller):
-            row = -row
+    """Return the product of values (p,) to these powers (p,), or its inverse.
 
-    places = np.flatnonzero(row).tolist()
-    members = tuple(names[k] for k in places)
-    powers = tuple(int(row[k]) for k in places)
-    if is_product:
-        above = [_power(n, k) for n, k in zip(members, powers, strict=True) if k > 0]
-        below = [_power(n, -k) for n, k in zip(members, powers, strict=True) if k < 0]
-        divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
-        formula = " ".join(above) + (f"/{divisor}" if below else "")
-        result = float(np.prod(value[places] ** row[places]))
-        error *= abs(result)
-    else:
-        formula = f" {'+' if powers[1] > 0 else '-'} ".join(members)
-        result = float(row @ value)
-    return DeterminedCombination(formula, members, powers, result, error)
+    The formula has the fewest divisors; of two with equally many, the one with a value above one.
+    """
+    surplus_divisors = (powers < 0).sum() - (powers > 0).sum()
+    logarithm = powers @ np.log(np.abs(np.where(powers == 0, 1.0, value)))
+    if surplus_divisors > 0 or (surplus_divisors == 0 and logarithm < 0):
+        powers = -powers
+
+    places = np.flatnonzero(powers).tolist()
+    factors = []
+    divisors = []
+    for k in places:
+        factor = names[k] + SUPERSCRIPTS.get(abs(int(powers[k])), "")
+        if powers[k] > 0:
+            factors.append(factor)
+        else:
+            divisors.append(factor)
+    formula = " ".join(factors)
+    if len(divisors) == 1:
+        formula += f"/{divisors[0]}"
+    elif divisors:
+        formula += f"/({' '.join(divisors)})"
+
+    result = float(np.prod(value[places] ** powers[places]))
+    return DeterminedCombination(
+        formula,
+        names=tuple(names[k] for k in places),
+        powers=tuple(int(powers[k]) for k in places),
+        value=result,
+        standard_error=relative_error * abs(result),
+    )
 
 
-def _power(name: str, power: int) -> str:
-    return name if power == 1 else f"{name}{'  ²³'[power]}"
+def _sum(names: Sequence[str], value: Array, signs: Array, error: float) -> DeterminedCombination:
+    """Return the sum or difference of two of the values (p,), by their signs (p,)."""
+    first, second = np.flatnonzero(signs).tolist()
+    sign = "+" if signs[second] > 0 else "-"
+    return DeterminedCombination(
+        f"{names[first]} {sign} {names[second]}",
+        names=(names[first], names[second]),
+        powers=(int(signs[first]), int(signs[second])),
+        value=float(signs @ value),
+        standard_error=error,
+    )
 
 
-def _text(of: Identifiability) -> Iterator[str]:
+def _text(judgment: Identifiability) -> Iterator[str]:
     """Yield the lines of the table, the condition number, the correlations and combinations."""
     rows = []
-    for name, error, alone in zip(of.names, of.error, of.insensitivity, strict=True):
-        remark = (
-            "at its bound"
-            if name in of.at_bound
-            else "beyond the guideline"
-            if name in of.beyond
-            else ""
+    for k, name in enumerate(judgment.names):
+        remark = ""
+        if name in judgment.at_bound:
+            remark = "at its bound"
+        elif name in judgment.beyond:
+            remark = "beyond the guideline"
+        rows.append(
+            [name, _percent(judgment.error[k]), _percent(judgment.insensitivity[k]), remark]
         )
-        rows.append([name, _percent(error), _percent(alone), remark])
 
     yield text_table(["parameter", "error, %", "insensitivity, %", ""], rows, left=(0, 3))
     yield ""
@@ -279,11 +313,11 @@ def _text(of: Identifiability) -> Iterator[str]:
         f"guidelines: {100 * ERROR_GUIDELINE:.0f} % error (Cramér-Rao bound), "
         f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity (the error if all others were known)"
     )
-    yield f"condition number of the scaled Jacobian: {number(of.condition, 3)}"
+    yield f"condition number of the scaled Jacobian: {number(judgment.condition, 3)}"
 
-    for first, second, r in of.correlated:
+    for first, second, r in judgment.correlated:
         yield f"correlation of {first} and {second}: {r:.4f}"
-    for combination in of.combinations:
+    for combination in judgment.combinations:
         yield f"determined together: {combination}"
 
 

@@ -19,11 +19,11 @@ from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.response_part import ResponsePart
 from greybox.statistics.column_space import column_basis
 
-# Share of fits to clean data in which any point is called an outlier.
+# Significance level, the size of the test: the share of fits to clean data in which any point is
+# called an outlier.
 SIZE = 0.01
 
-
-# Share of a point's residual that is a rounding error.
+# Residuals below this share of the largest one are rounding errors.
 ROUNDING = 1e-9
 
 
@@ -52,7 +52,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
     Where the data give variances of few degrees of freedom, a residual is a bivariate Student's t
     and is judged as such. None if no point can be judged.
     """
-    # The misfit leaves this point out, and a warning names it.
+    # The answer is stored with the part: the test of misfit and the check of outliers both ask.
     return part.stored("deviation", values, lambda: _largest_deviation(part, values, free))
 
 
@@ -71,7 +71,8 @@ def _largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviatio
         least = 0.5 if criterion.known_noise else 0.0
         ratio, dof = deletion_ratios(residual, sensitivity, least)
 
-    probability = (1 + 2 * ratio / dof) ** (-dof / 2)  # of exceeding the ratio, by F with 2 and dof
+    # Probability that F with 2 and `dof` degrees of freedom exceeds the ratio.
+    probability = (1 + 2 * ratio / dof) ** (-dof / 2)
     if not np.any(np.isfinite(probability)):
         return None
 
@@ -107,11 +108,14 @@ def deletion_ratios(
     if dof < 2 or not total > 0:
         return np.full(n, np.nan), math.nan
 
-    rows = np.stack([basis[:n], basis[n:]], axis=1)
-    M = np.eye(2) - rows @ rows.mT
+    # The real parts of all points come first, then the imaginary parts: row k and row n + k belong
+    # to point k.
+    point_rows = np.stack([basis[:n], basis[n:]], axis=1)  # (n, 2, columns)
+    M = np.eye(2) - point_rows @ point_rows.mT
     is_judged = np.linalg.eigvalsh(M)[:, 0] > ROUNDING
-    M[~is_judged] = np.eye(2)
+    M[~is_judged] = np.eye(2)  # any matrix that can be inverted: the result is NaN there
     points = z.reshape(2, n).T
-    q = np.sum(points * np.linalg.solve(M, points[..., None])[..., 0], axis=1)
+    solved = np.linalg.solve(M, points[..., None])[..., 0]
+    q = np.sum(points * solved, axis=1)
     mean_square = np.maximum((total - q) / dof, max(least, ROUNDING * total))
     return np.where(is_judged, q / 2 / mean_square, math.nan), float(dof)

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from textwrap import indent
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,36 +27,49 @@ from greybox.engine.solve.runs import SCREENED, Runs
 from greybox.modeling.formulation.spectrum_criteria import EquationError
 from greybox.statistics.metrics import rms
 
-MANY = 10  # records up to which each one has a line
-# Points that hardly show a correlation of 0.8 between neighbors: of 12, intervals contain the truth
-# in 87 to 94 % of fits; those of 24 points, as often as they state
+# Largest number of records of which each has a line.
+MANY = 10
+# Fewer points may hide a correlation of 0.8 between neighbors: with 12 points, 95 % intervals
+# contain the truth in 87 to 94 % of fits; with 24 points, in 95 %
 # (benchmarks/results/neighbor_coverage.txt).
 FEW = 16
 
-Table = tuple[list[str], list[list[str]], tuple[int, ...]]
-"""Header, rows, and the columns that are flush left."""
+
+class Table(NamedTuple):
+    """A table of texts: its header, its rows, and the columns that are flush left."""
+
+    header: list[str]
+    rows: list[list[str]]
+    left: tuple[int, ...]
 
 
 def text(fit: Any) -> str:
     """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
-    table = text_table(*parameter_table(fit))
-    causes = fit.misfit.likely if fit.misfit else ()
-    remarks = [cause.remedy for cause in causes]
+    parameters = parameter_table(fit)
+    table = text_table(parameters.header, parameters.rows, parameters.left)
+    remarks = []
+    if fit.misfit:
+        remarks += [cause.remedy for cause in fit.misfit.likely]
     remarks += [f"warning: {line}" for line in fit.warnings]
     remarks += [f"note: {line}" for line in fit.notes]
     if not fit.converged:
-        effort = ["", "best effort, no estimate:", "", table] if fit.best_effort else []
-        return titled(title(fit), [f"FAILED: {fit.status}.", *remarks, *effort])
+        lines = [f"FAILED: {fit.status}.", *remarks]
+        if fit.best_effort:
+            lines += ["", "best effort, no estimate:", "", table]
+        return titled(title(fit), lines)
 
     judged = verdict(fit)
+    table_lines = [table]
+    if fit.directions:
+        table_lines += ["", error_statement(fit)]
     sections = (
         [judged.level, *judged.sentences],
-        [table, *(["", error_statement(fit)] if fit.directions else [])],
+        table_lines,
         _profile_lines(fit),
         remarks,
         [_labeled(closeness(fit))],
     )
-    paragraphs = ("\n".join(lines) for lines in sections if lines)
+    paragraphs = ["\n".join(lines) for lines in sections if lines]
     return titled(title(fit), ["\n\n".join(paragraphs)])
 
 
@@ -66,61 +79,71 @@ def details(fit: Any) -> str:
 
 
 def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
+    """Return lines of a label and a text."""
     return "\n".join(f"{label:<10} {fact}" for label, fact in pairs)
 
 
 def title(fit: Any) -> str:
     """Return the problem and its models."""
-    labels = dict.fromkeys(part.label for part in fit.parts if not part.is_prior)
-    return f"{fit.name}: {', '.join(labels)}"
+    return f"{fit.name}: {', '.join(fit.labels)}"
 
 
 def facts(fit: Any) -> list[tuple[str, str]]:
     """Return starts, cost, delay, correlations and time as pairs of a label and a text."""
+    delay = fit.delay
+    for part in fit.responses:
+        if part.pade_error is not None:
+            delay += f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+
+    pairs = [("starts", _starts_text(fit)), ("cost", f"{fit.cost:.6g}  ({fit.rule})")]
+    if costs := _magnitude_phase_text(fit.responses):
+        pairs.append(("agreement", costs))
+    pairs.append(("delay", delay))
+    correlated = () if fit.directions is None else fit.identifiability.correlated
+    if correlated:
+        texts = ", ".join(f"{a} and {b} ({value:.2f})" for a, b, value in correlated)
+        pairs.append(("correlated", f"beyond 0.9: {texts.replace('-', '−')}"))
+    pairs.append(("time", f"{fit.seconds:.2f} s"))
+    return pairs
+
+
+def _starts_text(fit: Any) -> str:
+    """Say how many starts converged, and how many agree on the best minimum."""
     # Screened starts were evaluated but not run: they cannot agree on a minimum.
     tried = Multistart(fit.runs, fit.minima)
     screened = len(fit.runs) - len(tried.brought)
     only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
     minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
-    pade = "".join(
-        f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
-        for part in fit.responses
-        if part.pade_error is not None
+    return (
+        f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
+        f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}; {fit.starts}"
     )
-    pairs = () if fit.directions is None else fit.identifiability.correlated
-    correlated = ", ".join(f"{a} and {b} ({value:.2f})" for a, b, value in pairs)
-
-    return [
-        (
-            "starts",
-            f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
-            f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}; {fit.starts}",
-        ),
-        ("cost", f"{fit.cost:.6g}  ({fit.rule})"),
-        *_magnitude_phase_costs(fit.responses),
-        ("delay", f"{fit.delay}{pade}"),
-        *([("correlated", f"beyond 0.9: {correlated.replace('-', '−')}")] if correlated else []),
-        ("time", f"{fit.seconds:.2f} s"),
-    ]
 
 
-def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[str, str]]:
-    """Return the cost of CIFER by pair, the largest first, beside its guidelines."""
-    costs = sorted(((part.magnitude_phase_cost, part.name) for part in responses), reverse=True)
+def _magnitude_phase_text(responses: Sequence[FittedResponse]) -> str:
+    """Say the cost of CIFER with its guidelines, of the worst pairs too; empty if not finite."""
+    costs = [(part.magnitude_phase_cost, part.name) for part in responses]
+    costs.sort(reverse=True)
     if not costs or not all(math.isfinite(cost) for cost, _ in costs):
-        return []
+        return ""
     mean = number(sum(cost for cost, _ in costs) / len(costs), 3)
+    if len(costs) == 1:
+        return f"{mean} by magnitude and phase (guideline: at most 100)"
     by_pair = some([f"{name} {number(cost, 3)}" for cost, name in costs], 3)
-    average, pairs = (" on average", f"; {by_pair} (200)") if len(costs) > 1 else ("", "")
-    return [
-        ("agreement", f"{mean}{average} by magnitude and phase (guideline: at most 100){pairs}")
-    ]
+    return f"{mean} on average by magnitude and phase (guideline: at most 100); {by_pair} (200)"
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
-    rows = [part for part in fit.records if not part.data.has_time]
-    untested = [part.name for part in (rows if fit.misfit else fit.parts)]
+    # Without a test of misfit no part was tested; with it, all parts but rows without a time.
+    untested = [part for part in fit.parts if not fit.misfit]
+    if fit.misfit:
+        untested = [part for part in fit.records if not part.data.has_time]
+    model_texts = []
+    if untested:
+        names = some([part.name for part in untested])
+        model_texts.append(f"not tested for missing terms in {names}")
+
     texts = (
         ("data", [data_text(fit)]),
         ("prior", _prior_texts(fit)),
@@ -130,33 +153,33 @@ def closeness(fit: Any) -> list[tuple[str, str]]:
         ("hold", _hold_texts(fit.responses)),
         ("response", _response_texts(fit.responses)),
         ("output", _spectrum_texts(fit.spectra)),
-        ("model", [f"not tested for missing terms in {some(untested)}"] if untested else []),
+        ("model", model_texts),
     )
     return [(label, line) for label, lines in texts for line in lines]
 
 
 def parameter_table(fit: Any) -> Table:
     """Return the table of all quantities; of a failed fit the values where its best run ended."""
-    header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    rows = []
     if not fit.converged:
+        header = ["parameter", "value", "unit", "bounds", "", "meaning"]
         values = fit.best_effort or {}
-        rows = [
-            [q.name, number(values[q.name]), q.unit, *_bounds_and_note(q), q.about]
-            for q in fit.quantities
-            if q.name in values
-        ]
-        return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
+        for q in fit.quantities:
+            if q.name in values:
+                rows.append([q.name, number(values[q.name]), q.unit, *_bounds_and_note(q), q.about])
+        return Table(header, rows, left=(0, 2, 4, 5))
 
-    # The biases and noise of a hundred records would fill pages.
-    rows = [
-        [q.name, *with_error(q.value, q.standard_error), q.unit, *_bounds_and_note(q), q.about]
-        for q in fit.quantities
-        if not _is_of_later_record(q.name, len(fit.records))
-    ]
+    header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    for q in fit.quantities:
+        # The biases and noise of a hundred records would fill pages.
+        if not _is_of_later_record(q.name, len(fit.records)):
+            value, error = with_error(q.value, q.standard_error)
+            rows.append([q.name, value, error, q.unit, *_bounds_and_note(q), q.about])
     if len(rows) < len(fit.quantities):
-        rows.append([f"... and {len(fit.quantities) - len(rows)} more", *[""] * 6])
+        rest = len(fit.quantities) - len(rows)
+        rows.append([f"... and {rest} more", *[""] * (len(header) - 1)])
 
-    return header, rows, (0, 3, 5, 6)
+    return Table(header, rows, left=(0, 3, 5, 6))
 
 
 def data_text(fit: Any) -> str:
@@ -164,10 +187,14 @@ def data_text(fit: Any) -> str:
     texts = []
     parts = [part for part in fit.parts if not part.is_prior]
     for nouns in unique(part.nouns for part in parts):
-        alike = [part for part in parts if part.nouns == nouns]
-        count, compared = sum(len(p.data) for p in alike), sum(p.compared for p in alike)
+        element, elements, kind = nouns
+        same_kind = [part for part in parts if part.nouns == nouns]
+        count = sum(len(part.data) for part in same_kind)
+        compared = sum(part.compared for part in same_kind)
         share = "" if compared == count else f"{compared} of "
-        texts.append(f"{share}{counted(count, *nouns[:2])} in {counted(len(alike), nouns[2])}")
+        texts.append(
+            f"{share}{counted(count, element, elements)} in {counted(len(same_kind), kind)}"
+        )
 
     return " and ".join(texts)
 
@@ -177,17 +204,19 @@ def error_statement(fit: Any) -> str:
     conditions = "; ".join(unique(part.condition for part in fit.parts))
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
-        width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
+        _, independent_dof = fit.independent
+        width = t_quantile(0.95, independent_dof) / t_quantile(0.95, fit.dof)
         percent = 100 * width / math.sqrt(fit.inflation)
         between = " or between responses" if len(fit.responses) > 1 else ""
         conditions += (
             f"; correlated along frequency{between} like the residuals (intervals for independent "
             f"errors would be {percent:.0f} % as wide)"
         )
-    elif taken := [part for part in fit.responses if not part.data.has_independent_errors]:
+    # Responses that do not state that their errors are independent.
+    elif assumed := [part for part in fit.responses if not part.data.has_independent_errors]:
         extent = " like the residuals"
         # Slow errors beneath white ones as large are not always seen, even in many points.
-        if any(len(part.data) < FEW for part in taken):
+        if any(len(part.data) < FEW for part in assumed):
             extent = f", which fewer than {FEW} points hardly show"
         conditions += f"; independent along frequency{extent}"
 
@@ -216,6 +245,7 @@ def _bias_text(fit: Any) -> str:
 
 
 def _profile_lines(fit: Any) -> list[str]:
+    """Return the intervals by profile likelihood, with a line before them."""
     if not fit.profiles:
         return []
     profiles = fit.profiles.profiles
@@ -231,12 +261,11 @@ def _prior_texts(fit: Any) -> list[str]:
     """Return the priors with their shares in the information on each parameter."""
     if not fit.priors:
         return []
-    share = fit.prior_share
-    priors = [
-        f"{name} = {' ± '.join(with_error(mean, sigma))} "
-        f"({number(100 * share.get(name, math.nan), 2)} %)"
-        for name, (mean, sigma) in fit.priors.items()
-    ]
+    priors = []
+    for name, (mean, sigma) in fit.priors.items():
+        value = " ± ".join(with_error(mean, sigma))
+        share = number(100 * fit.prior_share.get(name, math.nan), 2)
+        priors.append(f"{name} = {value} ({share} %)")
 
     return [
         f"{some(priors, MANY)}; in parentheses its share in the information (maximum a posteriori)"
@@ -246,49 +275,55 @@ def _prior_texts(fit: Any) -> list[str]:
 def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
     """Say how the inputs ran between their samples, one line for all that ran alike."""
     # Most inputs of a flight are sampled alike, so one line suffices.
-    alike: dict[str, dict[str, None]] = {}
+    inputs_by_text: dict[str, list[str]] = {}
     for part in records:
-        for name, way in part.between.items():
-            alike.setdefault(way, {})[name] = None
-    return [f"{', '.join(names)} {way}" for way, names in alike.items()]
+        for name, text in part.between.items():
+            inputs_by_text.setdefault(text, []).append(name)
+    return [f"{', '.join(unique(names))} {text}" for text, names in inputs_by_text.items()]
 
 
 def _gap_texts(records: Sequence[FittedRecord]) -> list[str]:
-    """Say what long steps are; of many records, of the first ones."""
+    """Say how long steps were treated, in the first records only if there are many."""
     with_gaps = [part for part in records if part.gaps]
-    texts = [
-        f"{part.gaps} ({part.name})" if len(records) > 1 else part.gaps for part in with_gaps[:MANY]
-    ]
+    texts = []
+    for part in with_gaps[:MANY]:
+        place = f" ({part.name})" if len(records) > 1 else ""
+        texts.append(f"{part.gaps}{place}")
     rest = len(with_gaps) - len(texts)
-    return [*texts, f"and long steps in {counted(rest, 'more record')}"] if rest else texts
+    if rest:
+        texts.append(f"and long steps in {counted(rest, 'more record')}")
+    return texts
 
 
 def _hold_texts(responses: Sequence[FittedResponse]) -> list[str]:
-    """Say of which inputs of responses the hold is not stated, and what it may do to delays."""
-    alike: dict[str, dict[str, None]] = {}
+    """Say for which inputs of responses the hold is not stated, and what it may do to delays."""
+    inputs_by_text: dict[str, list[str]] = {}
     for part in responses:
         if text := described_unstated_hold(part.data.about):
-            alike.setdefault(text, {})[part.data.input] = None
-    return [f"of {listed([*names])} {text}" for text, names in alike.items()]
+            inputs_by_text.setdefault(text, []).append(part.data.input)
+    return [f"of {listed([*unique(names)])} {text}" for text, names in inputs_by_text.items()]
 
 
 def _output_texts(records: Sequence[FittedRecord]) -> Iterator[str]:
-    """Say how well every output of every record is reproduced; of many records the range."""
+    """Say how well every output of every record is reproduced; for many records, the range."""
     # Twenty records with three outputs would take a page.
     if len(records) <= MANY:
-        yield from (_output_text(part, output) for part in records for output in part.outputs)
+        for part in records:
+            for output in part.outputs:
+                yield _output_text(part, output)
         return
     for output in unique(output for part in records for output in part.outputs):
         parts = [part for part in records if output in part.outputs]
         percents = [part.fit_percent(output) for part in parts]
-        least = parts[percents.index(min(percents))].name
+        worst = parts[percents.index(min(percents))]
         yield (
             f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
-            f"{max(percents):.1f} % (least in {least!r})"
+            f"{max(percents):.1f} % (least in {worst.name!r})"
         )
 
 
 def _output_text(part: FittedRecord, output: str) -> str:
+    """Say how well an output of a record is reproduced."""
     place = f" ({part.name})"
     size = rms(part.residual(output))
     if math.isnan(size):
@@ -301,24 +336,26 @@ def _output_text(part: FittedRecord, output: str) -> str:
 
 
 def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
-    """Say how far the points are from the model, of many responses for the worst three."""
-    lines = []
+    """Say how far the points are from the model; of many responses, for the worst three."""
+    texts = []
+    sizes = []
     for part in responses:
         error = part.relative_residuals
         # A response that contains a zero has no relative residual: it has no line.
         if all_finite(error):
             worst = np.argmax(error)
             place = f" ({part.name})" if len(responses) > 1 else ""
-            line = (
+            sizes.append(rms(error))
+            texts.append(
                 f"residual {percent(rms(error))} % rms, largest {percent(error[worst])} % at "
                 f"{part.data.omega[worst]:.4g} rad/s{place}"
             )
-            lines.append((-rms(error), line))
 
     # If there are many responses, the worst three show what is wrong.
-    if len(lines) > MANY:
-        lines = sorted(lines)[:3]
-    return [line for _, line in lines]
+    if len(texts) > MANY:
+        worst_first = sorted(range(len(texts)), key=lambda k: (-sizes[k], texts[k]))
+        texts = [texts[k] for k in worst_first[:3]]
+    return texts
 
 
 def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Iterator[str]:
@@ -336,9 +373,11 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Iterator[str]:
 
 
 def _bounds_and_note(q: Any) -> tuple[str, str]:
+    """Return the bounds of a free quantity and whether one is active; of others, the kind."""
     if q.kind != "free":
         return "", q.kind
-    return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""
+    low, high = q.bounds
+    return f"[{low:g}, {high:g}]", "AT BOUND" if q.at_bound else ""
 
 
 def _is_of_later_record(name: str, records: int) -> bool:
@@ -370,12 +409,11 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")
-    models = unique(part.label for part in result.parts)
     return plain(
         {
             "problem": result.name,
-            "model": models,
-            "data": data_names(result.parts, models),
+            "model": list(result.labels),
+            "data": data_names(result.parts, result.labels),
             **attributes(result, *named),
             "starts": len(runs),
             "screened": np.count_nonzero(runs.stage == SCREENED),
@@ -383,7 +421,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             "minima": len(result.minima),
             "verdict": verdict(result),
             "misfit": misfit
-            and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
+            and vars(misfit) | attributes(misfit, "explains", "is_conditional", "p_value"),
             "level": level,
             "interval": result.interval(level),
             "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),

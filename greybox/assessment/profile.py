@@ -12,7 +12,6 @@ One solver is used for all parameters, and one program for each other quantity.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,9 +37,20 @@ from greybox.modeling.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-# Share of the limit of |r| from point to point: three points to a crossing show a curve.
+# Change of r from point to point, as a share of the limit of |r|: three points to a crossing show a
+# curve.
 STEP = 0.35
-GROWTH = 3.0  # largest change of a step
+# Largest factor between neighboring steps.
+GROWTH = 3.0
+# Factor by which a misleading standard error changes within one standard error of the estimate. In
+# the trials, factors from 1.25 to 1.4 selected the same profiles, and well-determined models with
+# 2 to 10 % noise stayed below 1.2.
+CHANGE_OF_ERROR = 1.3
+# Numbers in the data beyond which a fit does not look for misleading standard errors by itself.
+LARGE = 1000
+# Parameters to profile, times free parameters, times parts: each point is a run, and more work than
+# this takes a second or longer.
+MOST_WORK = 12
 
 
 def profile(
@@ -101,35 +111,36 @@ def profile(
 
     nlp = compiled_again(fit, problem)
     # A quantity that follows from constants alone has the standard error zero and no profile.
-    lines = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
+    quantities = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
 
     chosen = checked_items(
         "a name",
-        lines if names is None else names,
+        quantities if names is None else names,
         str,
         "names of parameters and derived quantities",
     )
-    require_known(chosen, lines, "quantity to profile", f"the fit {fit.name!r}")
+    require_known(chosen, quantities, "quantity to profile", f"the fit {fit.name!r}")
 
     # Two fresh starts for every point of a response: another minimum may become the lowest away
     # from the estimate. For records, the states of the neighboring point lead to the minimum, and a
     # run from elsewhere takes seconds.
     fresh = 0 if nlp.has_states else 2
-    return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
+    return _profiles(nlp, fit, [quantities[name] for name in chosen], level, fresh)
 
 
 def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     """Return the fit with profiles of the parameters whose standard error misleads.
 
-    With a note on these where profiles take more than a moment; unchanged where there is no
-    likelihood, and where finding these parameters would take long.
+    If profiles would take a second or longer, the fit gets a note with the names of these
+    parameters instead. The fit is unchanged where there is no likelihood, and where finding these
+    parameters would take long.
     """
     is_batched = ResponseSolver.serves(nlp)
     # Records with states, and sums of these with responses, take minutes.
     are_quick = is_batched or nlp.limits
     if nlp.has_states:
         are_quick = all(p.has_states and (p.is_static or not p.samples) for p in nlp.parts)
-    is_large = nlp.numbers > 1000 and not is_batched
+    is_large = nlp.numbers > LARGE and not is_batched
     is_slow = is_large or not are_quick
     released = _released(fit)
     if (is_slow and not released) or any(p.roots for p in nlp.programs):
@@ -137,17 +148,16 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     if fit.priors or any(_refusals(nlp, _estimate(nlp, fit), fit)):
         return fit
 
-    lines = [*_misleading(nlp, fit, released, looks_around=not is_slow)]
-    if not lines:
+    misleading = [*_misleading(nlp, fit, released, looks_around=not is_slow)]
+    if not misleading:
         return fit
-    # Each point is a run: more work than this takes a second and longer.
-    if is_batched or len(lines) * len(nlp.free) * len(nlp.parts) <= 12:
+    if is_batched or len(misleading) * len(nlp.free) * len(nlp.parts) <= MOST_WORK:
         try:
-            profiles = _profiles(nlp, fit, lines, 0.95, fresh=0)
+            profiles = _profiles(nlp, fit, misleading, 0.95, fresh=0)
         except NoProfileError:
             return fit
         return replace(fit, profiles=profiles, warnings=(*profiles.warnings, *fit.warnings))
-    names = listed([line.name for line in lines])
+    names = listed([quantity.name for quantity in misleading])
     note = f"standard errors that mislead: {names}; gb.profile (greybox profile) gives intervals."
     return replace(fit, notes=(*fit.notes, note))
 
@@ -195,24 +205,19 @@ def _misleading(
     middle = errors(x) if looks_around else np.ones(len(x))
 
     def changes(k: int, step: Array) -> bool:
-        ends = middle[k], errors(x - step)[k], errors(x + step)[k]
-        # A standard error misleads if it changes by this factor within one standard error of the
-        # estimate. In the trials, factors from 1.25 to 1.4 selected the same profiles, and
-        # well-determined models with 2 to 10 % noise stayed below 1.2.
-        return max(ends) > 1.3 * min(ends)
+        nearby = middle[k], errors(x - step)[k], errors(x + step)[k]
+        return max(nearby) > CHANGE_OF_ERROR * min(nearby)
 
     for k, (q, row) in enumerate(zip(free, np.nan_to_num(fit.correlation), strict=True)):
         low, high = intervals[q.name]
-        is_inside = q.bounds[0] <= low <= high <= q.bounds[1]
-        # With this correlation, knowing the released parameter would halve the standard error.
-        follows = bool(np.any(row[released] ** 2 > 0.75))
+        is_within_bounds = q.bounds[0] <= low <= high <= q.bounds[1]
+        # With a correlation of √0.75, knowing the released parameter would halve the standard
+        # error.
+        is_correlated = bool(np.any(row[released] ** 2 > 0.75))
         # With an error of half the value, the interval contains zero.
-        is_plain = is_inside and size[k] <= 0.5 * abs(x[k]) and not follows
+        is_plain = is_within_bounds and size[k] <= 0.5 * abs(x[k]) and not is_correlated
         if not is_plain or (looks_around and changes(k, row * size)):
             yield q
-
-
-# --- minima with parameters, or another quantity, held at values
 
 
 # --- the cost as a likelihood
@@ -319,7 +324,8 @@ class _Search:
         """Compute points from the estimate until |r| crosses a limit; return how the walk ended."""
         points = [self.best]
         step = self.first
-        bound = self.bounds[direction > 0]
+        lower, upper = self.bounds
+        bound = upper if direction > 0 else lower
         # A step may triple each time, so that the 40th point lies beyond any crossing.
         while len(points) < 40:
             last = points[-1]
@@ -385,8 +391,15 @@ def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
 
 
 def _profiles(
-    nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
+    nlp: CompiledProblem, fit: Fit, quantities: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
+    """Return the profiles of some quantities; every point starts from `fresh` Sobol points, too.
+
+    Raises
+    ------
+    NoProfileError
+        If the cost is no likelihood, or the minimum is not found again.
+    """
     minima = HeldMinima(nlp, _estimate(nlp, fit))
     for refusal in _refusals(nlp, minima.x, fit):
         raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
@@ -398,10 +411,12 @@ def _profiles(
 
     profiles = []
     limits = {}
-    for line in bar(lines, desc="profiles", unit="profile"):
-        dof = line.dof if math.isfinite(line.dof) else fit.dof
-        limits[line.name] = limit = t_quantile(level, dof)
-        profiles.append(_profile_of(_search(minima, fit, line, limit, starts), line, limit))
+    for quantity in bar(quantities, desc="profiles", unit="profile"):
+        dof = quantity.dof if math.isfinite(quantity.dof) else fit.dof
+        limit = t_quantile(level, dof)
+        limits[quantity.name] = limit
+        search = _search(minima, fit, quantity, limit, starts)
+        profiles.append(_profile_of(search, quantity, limit))
 
     lowest = min((profile.costs.min() for profile in profiles), default=math.inf)
     warnings = ()
@@ -417,46 +432,51 @@ def _profiles(
 
 
 def _search(
-    minima: HeldMinima, fit: Fit, line: Quantity, limit: float, starts: Sequence[Point]
+    minima: HeldMinima, fit: Fit, quantity: Quantity, limit: float, starts: Sequence[Point]
 ) -> _Search:
     """Return the search along one parameter or derived quantity."""
     nlp, x = minima.nlp, minima.x
-    slope_of_x = nlp.scaling.slope(x)
-    if line.name in nlp.free:
-        place = nlp.free.index(line.name)
+    dz_dx = nlp.scaling.slope(x)
+    if quantity.name in nlp.free:
+        place = nlp.free.index(quantity.name)
         held: Held = place
-        slope = np.eye(len(x))[place]
+        gradient = np.eye(len(x))[place]
         value = float(x[place])
     else:
-        held = _value_of(nlp, line.name)
-        slope = slope_of(held, minima.best.z) * slope_of_x
-        value = line.value
+        held = _value_of(nlp, quantity.name)
+        gradient = slope_of(held, minima.best.z) * dz_dx
+        value = quantity.value
         # A constraint fixes a derived quantity. From distant starts such a run takes long.
         starts = ()
 
-    size = float(np.abs([line.value, *(slope / slope_of_x)]).max())
-    error = line.standard_error
+    size = float(np.abs([quantity.value, *(gradient / dz_dx)]).max())
+    error = quantity.standard_error
     first = STEP * limit * error if error > 0 else 0.02 * size
     # A bound that the estimate has reached, to within rounding, does not shorten the first step.
-    bounds = () if line.at_bound else line.bounds
+    if not quantity.at_bound:
+        for bound in quantity.bounds:
+            distance = abs(bound - quantity.value)
+            if distance > 0:
+                first = min(first, STEP * distance)
     return _Search(
         minima=minima,
         held=held,
         best=replace(minima.best, value=value),
-        factor=likelihood_factor(fit, slope),
-        bounds=line.bounds,
+        factor=likelihood_factor(fit, gradient),
+        bounds=quantity.bounds,
         size=size,
-        first=min([first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)]),
+        first=first,
         starts=starts,
     )
 
 
-def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
+def _profile_of(search: _Search, quantity: Quantity, limit: float) -> ProfileOf:
+    """Walk from the estimate to both sides, and return the profile with its interval."""
     # A relative criterion biases the estimate by b. At the true value, the mean of r is then -b
     # over the standard error. The interval contains the values at which r plus this ratio is within
     # the limit. Like the interval from the standard error, it is centered about the estimate less
     # b.
-    bias = line.bias / line.standard_error if line.standard_error > 0 else 0.0
+    bias = quantity.bias / quantity.standard_error if quantity.standard_error > 0 else 0.0
     lowest, highest = -limit - bias, limit - bias
     # If the bias exceeds the limit, both ends lie on one side of the estimate. The walk to the
     # other side still takes one step, to show the curve there.
@@ -470,31 +490,32 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
         inside = np.array([np.argmin(np.abs(roots + bias))])
 
     first, last = int(inside[0]), int(inside[-1])
-    at_best = search.minima.at_bounds(search.best) | {line.name}
+    at_best = search.minima.at_bounds(search.best) | {quantity.name}
 
-    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, tuple[str, ...]]:
+    def limit_beyond(k: int, side: int, root: float, end: End) -> tuple[float, End, set[str]]:
+        """Return the limit of the interval, how it was found, and other parameters at a bound."""
         if not 0 <= k + side < len(points):
-            return side * math.inf, end, ()
+            return side * math.inf, end, set()
         inner, outer = points[k], points[k + side]
         at_bound = search.minima.at_bounds(outer) - at_best
-        return search.crossing(inner, outer, root), "crossed", tuple(sorted(at_bound))
+        return search.crossing(inner, outer, root), "crossed", at_bound
 
-    sides: Any = end_of(first, -1, lowest, low_end), end_of(last, 1, highest, high_end)
-    interval, ends, at_bound = zip(*sides, strict=True)
+    low, low_end, at_low_bound = limit_beyond(first, -1, lowest, low_end)
+    high, high_end, at_high_bound = limit_beyond(last, 1, highest, high_end)
     scaling = search.minima.nlp.scaling
     return ProfileOf(
-        name=line.name,
-        unit=line.unit,
-        estimate=line.value,
-        standard_error=line.standard_error,
+        name=quantity.name,
+        unit=quantity.unit,
+        estimate=quantity.value,
+        standard_error=quantity.standard_error,
         values=np.array([point.value for point in points]),
         costs=np.array([point.cost for point in points]),
         roots=roots,
         others=scaling.to_parameters(np.array([point.z for point in points])),
-        interval=interval,
-        ends=ends,
-        bounds=line.bounds,
+        interval=(low, high),
+        ends=(low_end, high_end),
+        bounds=quantity.bounds,
         bias=bias,
-        at_bound=at_bound,
+        at_bound=(tuple(sorted(at_low_bound)), tuple(sorted(at_high_bound))),
         connected=len(inside) == last - first + 1,
     )

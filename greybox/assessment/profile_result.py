@@ -6,7 +6,6 @@ from typing import Any, Literal
 from greybox.data.files.arrays import Array, Interval
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.json_numbers import plain
-from greybox.data.files.named_values import attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed, one_line
 from greybox.data.files.spelling import alternatives
@@ -36,8 +35,8 @@ class ProfileOf:
         "bound" of the parameter first, is "flat" however far it goes, or "failed" to converge.
     bounds : (float, float)
     bias : float
-        Bias of the estimate (`Quantity.bias`) in standard errors: at the ends the root plus the
-        bias is -limit and limit.
+        Bias of the estimate (`Quantity.bias`) in standard errors. The interval ends where the root
+        plus the bias is -limit or limit.
     at_bound : (tuple of str, tuple of str)
         Other parameters at a bound where the profile crosses the limit, below and above. Such an
         end depends on the bound, not only on the data.
@@ -61,16 +60,17 @@ class ProfileOf:
     connected: bool = True
 
     def __str__(self) -> str:
-        low, high = (number(value, 4) for value in self.interval)
+        lower, upper = self.interval
+        low = number(lower, 4)
+        high = number(upper, 4)
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
         # An open side is more important than the number on the other side, so it is written in
         # words.
-        is_open = [math.isinf(value) for value in self.interval]
-        if all(is_open):
+        if math.isinf(lower) and math.isinf(upper):
             text = "not limited by the data on either side"
-        elif is_open[1]:
+        elif math.isinf(upper):
             text = f"above {low}{unit}, no upper limit{self._reason(1, 'up')}"
-        elif is_open[0]:
+        elif math.isinf(lower):
             text = f"below {high}{unit}, no lower limit{self._reason(0, 'down')}"
         else:
             text = f"{low} to {high}{unit}"
@@ -82,6 +82,7 @@ class ProfileOf:
         return text if self.connected else f"{text}, in separate pieces"
 
     def _reason(self, side: int, direction: str) -> str:
+        """Return why the interval is open below (side 0) or above (side 1); empty if it is flat."""
         reasons = {
             "bound": f" {direction} to the bound {self.bounds[side]:g}",
             "failed": " that could be found: solves failed beyond",
@@ -149,19 +150,26 @@ class Profiles(Printed):
 
     def summary(self) -> dict[str, Any]:
         """Return everything as plain values, for JSON; None for an open side."""
-        fields = ("estimate", "standard_error", "ends", "at_bound", "connected")
-        fields += ("values", "costs", "roots")
         words = self.intervals_in_words()
+        profiles = {}
+        for p in self.profiles:
+            profiles[p.name] = {
+                "estimate": p.estimate,
+                "standard_error": p.standard_error,
+                "ends": p.ends,
+                "at_bound": p.at_bound,
+                "connected": p.connected,
+                "values": p.values,
+                "costs": p.costs,
+                "roots": p.roots,
+                **words[p.name],
+                "others": dict(zip(self.free, p.others.T, strict=True)),
+            }
         return plain(
             {
                 "problem": self.name,
                 "level": self.level,
-                "profiles": {
-                    p.name: attributes(p, *fields)
-                    | words[p.name]
-                    | {"others": dict(zip(self.free, p.others.T, strict=True))}
-                    for p in self.profiles
-                },
+                "profiles": profiles,
                 "limit": self.limit,
                 "warnings": self.warnings,
             }

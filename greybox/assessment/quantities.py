@@ -38,43 +38,63 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
     """
     nlp = accuracy.nlp
     x = nlp.all_values(accuracy.x)
-    follow = formulas(nlp.problem)
+    derived = formulas(nlp.problem)
     # Exact derivatives: finite differences would limit the errors of ratios of close values.
-    function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
-    values = function(x).full()
-    slopes = function.jacobian()(x, 0).full()
+    function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in derived)])
+    values = function(x).full().ravel()
+    nominal_output = 0  # CasADi's Jacobian takes the output, too, but does not use it
+    slopes = function.jacobian()(x, nominal_output).full()
 
-    # Errors are propagated once for all lines.
+    # Errors are propagated once for all quantities.
     errors = propagate(accuracy, slopes)
-    numbers = (values, errors, degrees(accuracy, slopes), slopes @ accuracy.bias)
-    columns = np.column_stack(numbers).tolist()
+    dof = degrees(accuracy, slopes)
+    bias = slopes @ accuracy.bias
 
     # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
-    lines = []
-    for line, (value, error, dof, bias) in zip([*nlp.names, *follow], columns, strict=True):
-        if isinstance(line, Formula):
-            limit = f"of the tied {line.name}"
-            stated = attributes(line, "name", "kind", "unit", "about")
-            stated["at_bound"] = any(label.endswith(limit) for label in accuracy.active)
-        else:
-            declared = nlp.problem.parameters[line]
-            stated = attributes(declared, "unit", "about", "bounds", "box")
-            stated |= {"name": line, "kind": "fixed" if declared.fixed else "free"}
-            stated["at_bound"] = line in accuracy.at_bound
-        lines.append(Quantity(value=value, standard_error=error, dof=dof, bias=bias, **stated))
+    declarations = [_declaration(accuracy, name) for name in nlp.names]
+    declarations += [_declaration_of_formula(accuracy, formula) for formula in derived]
+    result = []
+    for k, declaration in enumerate(declarations):
+        quantity = Quantity(
+            value=float(values[k]),
+            standard_error=float(errors[k]),
+            dof=float(dof[k]),
+            bias=float(bias[k]),
+            **declaration,
+        )
+        result.append(quantity)
 
-    of_parameters = slopes[[line.kind != "derived" for line in lines]]
-    covariance = of_parameters @ accuracy.covariance @ of_parameters.T
+    parameter_slopes = slopes[[quantity.kind != "derived" for quantity in result]]
+    covariance = parameter_slopes @ accuracy.covariance @ parameter_slopes.T
     # The covariance within the determined directions is finite, and too small, for the others.
     unknown = np.isnan(errors[: len(covariance)])
     covariance[unknown | unknown[:, None]] = np.nan
-    return tuple(lines), covariance, of_parameters
+    return tuple(result), covariance, parameter_slopes
+
+
+def _declaration(accuracy: Accuracy, name: str) -> dict[str, Any]:
+    """Return the fields of the `Quantity` of a free or fixed parameter that need no numbers."""
+    parameter = accuracy.nlp.problem.parameters[name]
+    fields = attributes(parameter, "unit", "about", "bounds", "box")
+    fields["name"] = name
+    fields["kind"] = "fixed" if parameter.fixed else "free"
+    fields["at_bound"] = name in accuracy.at_bound
+    return fields
+
+
+def _declaration_of_formula(accuracy: Accuracy, formula: Formula) -> dict[str, Any]:
+    """Return the fields of the `Quantity` of a formula that need no numbers."""
+    fields = attributes(formula, "name", "kind", "unit", "about")
+    # Active limits are labels. That of a tied parameter is "the lower bound 0 of the tied a2".
+    bound = f"of the tied {formula.name}"
+    fields["at_bound"] = any(label.endswith(bound) for label in accuracy.active)
+    return fields
 
 
 def parameter_values(nlp: CompiledProblem, x: Array) -> dict[str, float]:
     """Return free, fixed and tied parameters by name, where the free ones are `x` (p,)."""
-    tied = (formula.name for formula in formulas(nlp.problem) if formula.kind == "tied")
-    names = (*nlp.names, *tied)
+    tied = [formula.name for formula in formulas(nlp.problem) if formula.kind == "tied"]
+    names = [*nlp.names, *tied]
     values = quantity_function(nlp, names)(nlp.all_values(x)).full()
     return dict(zip(names, values.ravel().tolist(), strict=True))
 
@@ -83,11 +103,13 @@ def parameter_values(nlp: CompiledProblem, x: Array) -> dict[str, float]:
 def quantity_function(nlp: CompiledProblem, names: Sequence[str]) -> ca.Function:
     """Return the named parameters and formulas as a function of all values (k,)."""
     x = ca.SX.sym("x", len(nlp.names))
-    named = entries_by_name(nlp.names, x)
-    every = named | {
-        f.name: ca.SX(f.function(f.part.local_values(named))) for f in formulas(nlp.problem)
-    }
-    return ca.Function("quantities", [x], [ca.densify(ca.vertcat(*(every[n] for n in names)))])
+    parameters = entries_by_name(nlp.names, x)
+    expressions = dict(parameters)
+    for formula in formulas(nlp.problem):
+        values_of_part = formula.part.local_values(parameters)
+        expressions[formula.name] = ca.SX(formula.function(values_of_part))
+    stacked = ca.vertcat(*(expressions[name] for name in names))
+    return ca.Function("quantities", [x], [ca.densify(stacked)])
 
 
 def formulas(problem: AnyProblem) -> list[Formula]:
@@ -99,8 +121,10 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     for part in problem.parts:
         for name in part.tied:
             declared = part.model.parameters[name]
-            label, value = part.outside(name), itemgetter(name)
-            formula = Formula(label, "tied", declared.unit, declared.about, part, value)
+            label = part.outside(name)
+            # The values of a part include its tied parameters.
+            function = itemgetter(name)
+            formula = Formula(label, "tied", declared.unit, declared.about, part, function)
             formulas_by_name.setdefault(label, formula)
 
     used_names = {*problem.parameters, *formulas_by_name}

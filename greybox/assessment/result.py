@@ -234,6 +234,11 @@ class Fit(Printed):
         )
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """What the models are called, each once, without priors."""
+        return tuple(dict.fromkeys(part.label for part in self.parts if not part.is_prior))
+
+    @property
     def spectra(self) -> tuple[FittedSpectrum, ...]:
         """The parts whose data are spectra of manoeuvres."""
         return tuple(part for part in self.parts if isinstance(part, FittedSpectrum))

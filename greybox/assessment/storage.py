@@ -34,7 +34,8 @@ from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 
 LAYOUT = 11
-DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
+# Errors that reading a damaged or hostile file may raise.
+READ_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
 # A model of the user, or what contains some
 ModelSource = Model | type[Model] | ModuleType | str | Path
@@ -98,48 +99,57 @@ def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> 
     True
     """
     fit = from_bytes(read_sealed(path), models, f"{path}")
-    for part in range(len(fit.parts)) if fit.given else ():
-        with suppress(LookupError):  # a model that is not given may not be needed
-            fit.model_of(part)
+    if fit.given:
+        # A given model with other parameters than the fitted one raises its error here.
+        for part in range(len(fit.parts)):
+            with suppress(LookupError):  # a model that is not given may not be needed
+                fit.model_of(part)
     return fit
 
 
 def to_bytes(fit: Fit) -> bytes:
     """Return a fit as JSON with its arrays."""
-    return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
+    # Runs are stored as columns, also those of a fit that has them one by one.
+    fit = replace(fit, runs=Runs.of(fit.runs))
+    return json.dumps([LAYOUT, fit.checksum, write(fit)]).encode()
 
 
 def from_bytes(
     data: bytes, models: Any, place: str = "the stored fit", stored: int | None = None
 ) -> Fit:
-    """Return the fit of `to_bytes`; `models` as in `load`, `place` for messages.
+    """Return the fit that `to_bytes` wrote.
 
-    The bytes take `stored` bytes of a file, by default as many as they are.
+    Parameters
+    ----------
+    data : bytes
+    models : iterable, or one of its entries
+        As in `load`.
+    place : str
+        What messages call the fit.
+    stored : int, optional
+        Size of the data in their file, where they may be compressed; by default their length.
 
     Raises
     ------
     ValueError
         If it is damaged, or was written by another version.
     """
-    cure = "model classes, models, modules, or paths of Python files"
-    given: list[Model | type[Model]] = []
-    for entry in checked_items("models", models, Model | type | ModuleType | str | Path, cure):
-        source = module_from_file(entry) if isinstance(entry, str | Path) else entry
-        given += models_of(source) if isinstance(source, ModuleType) else [source]
+    given = _given_models(models)
     try:
         layout, checksum, values = parsed(data, len(data) if stored is None else stored)
+        is_sine = layout == LAYOUT and _pop_sines(values)
         # An older layout is refused, not converted: fits are cheap to repeat.
-        if layout == LAYOUT and not _has_sine(values):
+        if layout == LAYOUT and not is_sine:
             fit = read(values, Fit)
             _require_consistent(fit, checksum)
             return replace(fit, given=tuple(given))
         cure = "install a newer greybox" if layout > LAYOUT else "fit again"
-    except DAMAGES as error:
+    except READ_ERRORS as error:
         raise ValueError(
             f"{place} is not a greybox fit or is damaged ({printable(str(error))})."
         ) from None
 
-    if layout == LAYOUT:
+    if is_sine:
         raise ValueError(
             f"{place} is a fit to a sine of finite amplitude, which this version cannot make: fit "
             "the record in the time domain."
@@ -147,8 +157,21 @@ def from_bytes(
     raise ValueError(f"{place} has layout {layout} and this version reads {LAYOUT}: {cure}.")
 
 
-def _has_sine(values: Any) -> bool:
-    """Return whether a part has a sine of finite amplitude; remove this former field from all."""
+def _given_models(models: Any) -> list[Model | type[Model]]:
+    """Return the models of the argument `models` of `load`."""
+    accepted = "model classes, models, modules, or paths of Python files"
+    given: list[Model | type[Model]] = []
+    for entry in checked_items("models", models, Model | type | ModuleType | str | Path, accepted):
+        source = module_from_file(entry) if isinstance(entry, str | Path) else entry
+        if isinstance(source, ModuleType):
+            given += models_of(source)
+        else:
+            given.append(source)
+    return given
+
+
+def _pop_sines(values: Any) -> bool:
+    """Remove the former field `sine` from all parts; return whether a part had such a sine."""
     sines = [part.pop("sine", None) for part in values["parts"]]
     return any(sine is not None for sine in sines)
 
@@ -161,9 +184,9 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
     ValueError
         The message names what does not agree.
     """
+    # Everything that printing, predicting and comparing rely on is checked: a damaged or hostile
+    # file must be refused here, with a sentence.
     # Printing a fit looks quantities up by name: a duplicate would hide one of them.
-    # Everything that printing, predicting and comparing rely on: a damaged or hostile file must be
-    # refused here, with a sentence.
     names = [q.name for q in fit.quantities]
     require(len({*names}) == len(names), "two quantities have the same name")
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
@@ -172,17 +195,19 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
     for name, prior in fit.priors.items():
         normal_prior(prior, f"the prior of {name!r:.40}")
 
+    # The shape of an array is a letter for each axis.
     sizes = {"p": len(fit.free), "k": len(fit.names), "r": len(fit.runs.cost)}
     require_shapes(fit, {"covariance": "kk", "white": "pp"}, sizes)
     if fit.independent is not None:
         size = (sizes["p"], sizes["p"])
         require(fit.independent[0].shape == size, "independent has another shape")
 
-    beside = fit.directions and fit.directions.elsewhere
-    for directions, n in ((fit.directions, "k"), (beside, "p")):
-        if directions is not None:
-            axes = {"covariance": n + n, "unseen": n + "*", "size": n, "at": n}
-            require_shapes(directions, axes, sizes)
+    if fit.directions is not None:
+        axes = {"covariance": "kk", "unseen": "k*", "size": "k", "at": "k"}
+        require_shapes(fit.directions, axes, sizes)
+    if fit.directions is not None and fit.directions.elsewhere is not None:
+        axes = {"covariance": "pp", "unseen": "p*", "size": "p", "at": "p"}
+        require_shapes(fit.directions.elsewhere, axes, sizes)
 
     # Runs are columns: in a shorter one, values would belong to other runs.
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
@@ -190,9 +215,9 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")
     for minimum in fit.minima:
         require_shapes(minimum, {"estimate": "p"}, sizes)
-        ends = (0, *sorted(minimum.runs), sizes["r"] - 1)
-        require(len(ends) > 2, "no run ended at one of its minima")
-        require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
+        require(len(minimum.runs) > 0, "no run ended at one of its minima")
+        has_runs = min(minimum.runs) >= 0 and max(minimum.runs) < sizes["r"]
+        require(has_runs, "a minimum belongs to a run that it does not have")
 
     require(fit.checksum == checksum, "its data do not match their checksum")
     for part in fit.parts:

@@ -1,8 +1,8 @@
 """The verdict on a fit in a few sentences: model, minimum, parameters."""
 
 from dataclasses import dataclass
-from operator import itemgetter
-from typing import Any, Literal
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple
 
 from greybox.assessment.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.assessment.wrapped_outputs import wrapped
@@ -46,56 +46,69 @@ class Verdict:
         return LEVELS[self.grade]
 
 
+class Opinion(NamedTuple):
+    """One sentence of a verdict, and whether it is good news or a reason for doubt."""
+
+    is_good: bool
+    text: str
+
+
 def verdict(fit: Any) -> Verdict:
     """Return the verdict on a `Fit`."""
     if not fit.converged:
         return Verdict("failed", (f"There is no estimate: {fit.status}.", *fit.warnings[:1]))
 
-    # First whether this is the minimum, then how certain: the second needs the first.
-    sentences = [_minimum(fit), _determined(fit)]
-    misfit = fit.misfit
-    if misfit:
-        # What the print says is to be added is a reason for doubt.
-        holds = misfit.explains and not misfit.is_drifting and not misfit.likely
-        sentences.insert(0, (holds, f"The model {misfit.verdict}."))
+    # Jumps of the data explain all that follows.
+    opinions = [Opinion(False, f"{text[0].upper()}{text[1:]}") for text in wrapped(fit)]
     if fit.left_out:
         count = counted(len(fit.left_out), "check")
-        sentences.insert(0, (False, f"{count} were left out, so nobody looked for what they find."))
-    # What a jump of the data does to the fit explains all that follows.
-    sentences = [*((False, f"{text[0].upper()}{text[1:]}") for text in wrapped(fit)), *sentences]
-    is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
+        text = f"{count} were left out, so nobody looked for what they find."
+        opinions.append(Opinion(False, text))
+    misfit = fit.misfit
+    if misfit:
+        # A term that the printed fit asks to add is a reason for doubt.
+        is_good = misfit.explains and not misfit.is_drifting and not misfit.likely
+        opinions.append(Opinion(is_good, f"The model {misfit.verdict}."))
+    # Parameters can be judged only at the best minimum.
+    opinions += [_opinion_of_minimum(fit), _opinion_of_parameters(fit)]
+
+    is_good = all(opinion.is_good for opinion in opinions) and not fit.warnings
     grade = "good" if is_good else "doubt"
-    # No start agrees on the minimum of a model that explains nothing, wherever they end.
+    # Where no response of the model explains anything, no start counts as agreeing.
     if fit.agreeing == 0 or (misfit and misfit.is_large):
         grade = "poor"
 
-    return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))
+    # Reasons for doubt come first; False sorts before True.
+    opinions.sort(key=attrgetter("is_good"))
+    return Verdict(grade, tuple(opinion.text for opinion in opinions))
 
 
-def _minimum(fit: Any) -> tuple[bool, str]:
-    """Tell whether more than one start agrees on the best minimum, and say how many do."""
+def _opinion_of_minimum(fit: Any) -> Opinion:
+    """Judge how many starts agree on the best minimum."""
     # Screened starts were not run, and can neither agree nor disagree.
     count = sum(run.stage != SCREENED for run in fit.runs)
     if fit.agreeing == 1:
         few = f"1 of {count} starts reached the best minimum" if count > 1 else "one start was run"
-        return False, f"Only {few}, so another minimum may be lower: run more starts."
+        return Opinion(False, f"Only {few}, so another minimum may be lower: run more starts.")
 
-    return True, f"{fit.agreeing} of {counted(count, 'start')} agree on the best minimum."
+    text = f"{fit.agreeing} of {counted(count, 'start')} agree on the best minimum."
+    return Opinion(True, text)
 
 
-def _determined(fit: Any) -> tuple[bool, str]:
-    """Tell whether all free parameters are well determined, and say how well."""
+def _opinion_of_parameters(fit: Any) -> Opinion:
+    """Judge whether all free parameters are well determined."""
     if not fit.free:
-        return True, "No parameter was free."
+        return Opinion(True, "No parameter was free.")
     try:
         judged = fit.identifiability
     except ValueError:
-        return (
+        return Opinion(
             False,
             "The data give no standard errors, so the estimate cannot be judged by itself.",
         )
 
-    # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
+    # The criterion adds biases and sizes of noise. They may be near zero, where an error relative
+    # to the value says nothing.
     added = {part.outside(name) for part in fit.parts for name in part.added}
     errors = without(dict(zip(judged.names, judged.error, strict=True)), added)
     beyond = [name for name in judged.beyond if name in errors]
@@ -110,14 +123,23 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     if texts:
         well = len(fit.free) - len({*fit.at_bound, *beyond})
-        return (
-            # Insensitivity is the error if all others were known: it limits no use of an estimate
-            # whose error, which is larger, is within the guideline.
-            not fit.at_bound and all(error <= ERROR_GUIDELINE for error in errors.values()),
+        # Insensitivity is the error if all others were known: it limits no use of an estimate whose
+        # error, which is larger, is within the guideline.
+        is_good = not fit.at_bound and all(error <= ERROR_GUIDELINE for error in errors.values())
+        return Opinion(
+            is_good,
             f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
             f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 
-    worst = max(errors, key=errors.__getitem__, default="")
-    most = f" of at most {percent(errors[worst])} % ({worst})" if worst else ""
-    return True, f"The free parameters are well determined, with standard errors{most}."
+    most = ""
+    if errors:
+        worst = max(errors, key=errors.__getitem__)
+        most = f" of at most {percent(errors[worst])} % ({worst})"
+    if fit.misfit and not fit.misfit.explains:
+        # Scatter is small, but not the bias, which nobody knows.
+        return Opinion(
+            True,
+            f"The standard errors{most} would be valid only for a model that explains the data.",
+        )
+    return Opinion(True, f"The free parameters are well determined, with standard errors{most}.")

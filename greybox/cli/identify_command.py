@@ -15,7 +15,8 @@ from greybox.data.files.named_values import attributes
 from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.readers import read
 from greybox.data.response_file import write_response
-from greybox.workflows.identification.identify import STARTS, Identification, identify
+from greybox.workflows.identification.identify import Identification, identify
+from greybox.workflows.identification.orders import STARTS
 from greybox.workflows.identification.structure_fit import Structure
 from greybox.workflows.study.catalog import find_model
 
@@ -47,7 +48,8 @@ logs LOG...
 --bounds
 --start
 --starts N
-    number of starts of every fit of --structures (default: {STARTS})
+    number of starts of every fit of --structures, or other starts of the chosen rational transfer
+    function (default: {STARTS})
 --seed K
     seed of the starts (default: 0)
 --out PREFIX

@@ -242,7 +242,8 @@ def _uncertain(text: str) -> tuple[float, float]:
 KINDS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("FILE", "DIR", "RESULT", "RESPONSE"), Path),
     **dict.fromkeys(
-        ("HZ", "S", "DEGREES", "DB"), partial(_between, limit=math.inf, kind="a number above 0")
+        ("HZ", "S", "DEGREES", "DB", "FACTOR"),
+        partial(_between, limit=math.inf, kind="a number above 0"),
     ),
     **dict.fromkeys(("SECONDS", "START", "END", "NAME=VALUE", "NAME[=VALUE]"), float),
     "N": partial(_integer, least=1),

@@ -8,7 +8,7 @@ from greybox.cli.output import Answer
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.data.files.named_values import attributes
 from greybox.data.response_file import read_response
-from greybox.workflows.identification.orders import select_orders
+from greybox.workflows.identification.orders import STARTS, select_orders
 from greybox.workflows.identification.selection import Selection
 from greybox.workflows.study.stated_problem import filters_of
 
@@ -17,7 +17,7 @@ EXAMPLES = (
     "pitch_response.csv --n 2 3 4 --integrators 1 --no-delay --out chosen.h5",
     "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
 )
-OPTIONS = """
+OPTIONS = f"""
 responses RESPONSE...
     measured frequency responses of one plant, as greybox response saves them
 --columns NAME=COLUMN[:UNIT]...
@@ -37,6 +37,10 @@ responses RESPONSE...
 --free
 --bounds
 --start
+--starts N
+    number of other starts of the chosen structure (default: {STARTS})
+--seed K
+    seed of these starts (default: 0)
 --out FILE
     save the fit of the chosen structure to this HDF5 file
 --force
@@ -54,7 +58,7 @@ def run(options: argparse.Namespace) -> Answer:
         delay=not options.no_delay,
         through=filters,
         fixed=options.fix,
-        **attributes(options, "n", "m", "integrators", "bounds", "start"),
+        **attributes(options, "n", "m", "integrators", "bounds", "start", "starts", "seed"),
     )
     # The table first: it shows which other orders fit nearly as well.
     answer = selection_json(selection)

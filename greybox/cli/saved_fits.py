@@ -8,7 +8,6 @@ from greybox.assessment.result import Fit
 from greybox.assessment.storage import load, save
 from greybox.cli.options import UsageError
 from greybox.cli.output import require_writable
-from greybox.data.files.named_values import attributes
 from greybox.data.files.safe_files import HDF5
 from greybox.data.logs.readers import read
 from greybox.data.record import Recording
@@ -28,7 +27,7 @@ HELD_OUT = """
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
-    """Return the fit in a file, with the models of the option.
+    """Return the fit in a file, with the models of the option `--model`.
 
     Raises
     ------
@@ -39,40 +38,57 @@ def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
 
 
 def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[Any]:
-    """Return the held-out records of the options, with the signals of the first result.
+    """Return the held-out records of the options, with the signals of the first result's model.
 
-    All models must have the outputs that are compared.
+    Raises
+    ------
+    UsageError
+        For options of held-out records without `--held-out`.
+    ValueError, OSError
+        If a record cannot be read.
     """
     if not options.held_out:
         if options.columns or options.rate or options.gaps:
             raise UsageError("--columns, --rate and --gaps go with --held-out.")
         return []
-    fit: Any = first if isinstance(first, Fit) else first.done[0].fit
+    # All models must have the outputs that are compared, so any of them will do.
+    if isinstance(first, Study):
+        fit = first.done[0].fit
+        assert fit is not None  # a member that is done has a fit
+    else:
+        fit = first
     model = fit.model_of()
-    return [
-        read_data(path, model, **attributes(options, "columns", "rate", "gaps"))
-        for path in options.held_out
-    ]
+    records = []
+    for path in options.held_out:
+        record = read_data(
+            path, model, columns=options.columns, rate=options.rate, gaps=options.gaps
+        )
+        records.append(record)
+    return records
 
 
 def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording | None:
-    """Return the log whose controllers flew: the stated one, or that of the fit, in its folder.
+    """Return the flight log with the controllers: that of `--log`, or the one beside the fit.
 
-    Return None if a controller is stated, or if the fit has no log there.
+    Without `--log`, this is the log from which the fit was made, if it lies in the folder of the
+    fit and no controller is stated; else None.
 
     Raises
     ------
     UsageError
         If the log beside the fit is not the one of the fit, or if a controller is stated as well.
     """
-    about = getattr(fit.parts[0].data, "about", {})
-    # Only its name: a file from a stranger must not choose the folder.
-    beside = path.parent / Path(about.get("log", "")).name
-    if not options.log and (options.controller or not beside.is_file()):
-        return None
-    log = read(options.log or beside)
-    if not options.log and log.checksum != about.get("log sha256"):
-        raise UsageError(f"{beside} is not the log of {path}: give the right one with --log.")
+    if options.log:
+        log = read(options.log)
+    else:
+        about = getattr(fit.parts[0].data, "about", {})
+        # Only the name counts: a file from a stranger must not choose the folder.
+        beside = path.parent / Path(about.get("log", "")).name
+        if options.controller or not beside.is_file():
+            return None
+        log = read(beside)
+        if log.checksum != about.get("log sha256"):
+            raise UsageError(f"{beside} is not the log of {path}: give the right one with --log.")
     for name in ("controller", "set", "rate"):
         if getattr(options, name):
             raise UsageError(
@@ -91,7 +107,9 @@ def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
         If they do not exist or are something else.
     """
     # A file contains ties and constraints as texts only, and nothing in a file is executed.
-    problem = find_problem(options.problem)[0] if options.problem else None
+    problem = None
+    if options.problem:
+        problem, _settings = find_problem(options.problem)
     return saved_fit(options.result, options), problem
 
 
@@ -101,7 +119,7 @@ def require_fit_file(path: Path | None, force: bool) -> None:
     Raises
     ------
     UsageError
-        One sentence with the cure.
+        For such a file.
     """
     require_writable(path, force, HDF5, "saved fit")
 

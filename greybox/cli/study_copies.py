@@ -8,7 +8,8 @@ A study file in Python, and the files with models that it names, read what they 
 of Python sees each file that is opened, and those in the folder of the study file are copied. Those
 elsewhere (``../flights``) are copied if greybox read them as data or as a model.
 
-To resume runs the Python files in the folder. Those of a stranger have no mark of this user.
+Resuming a study executes the Python files in the folder. Files without the mark of this user are
+therefore refused.
 """
 
 import json
@@ -26,26 +27,36 @@ from greybox.workflows.study.ownership import mark_of_files
 INPUTS = Path("inputs")
 STATED = INPUTS / "study.json"
 
+# Files that Python opened for reading, and files that greybox read as data or as a model.
 _opened = set[Path]()
-_read = set[Path]()  # by greybox
+_read = set[Path]()
 
 
 def note_opened_files() -> None:
     """Note every file that Python opens for reading from now on, and those that greybox reads."""
     _opened.clear()
     _read.clear()
-    _listen(_note)
+    _listen()
 
 
-# An audit hook cannot be removed: a second one would note everything again.
-_listen = cache(sys.addaudithook)
+# An audit hook cannot be removed, so it is added only once: a second one would note everything
+# again.
+@cache
+def _listen() -> None:
+    """Add the audit hook."""
+    sys.addaudithook(_note)
 
 
 def _note(event: str, arguments: tuple) -> None:
+    """Note a file that is opened or read."""
     if event == "greybox.read":
-        _read.add(Path(arguments[0]).resolve())
-    elif event == "open" and arguments[1] in ("r", "rb"):
-        _opened.add(Path(str(arguments[0])))
+        path = arguments[0]
+        _read.add(Path(path).resolve())
+    elif event == "open":
+        path, mode, *_ = arguments
+        # A file descriptor, a number, becomes a path that does not exist.
+        if mode in ("r", "rb"):
+            _opened.add(Path(str(path)))
 
 
 def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
@@ -56,33 +67,51 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
     OSError
         If they cannot be written.
     """
-    study, folder = study.resolve(), folder.resolve()
-    base = folder / INPUTS
+    study = study.resolve()
+    folder = folder.resolve()
+    copies = folder / INPUTS
+    # A study that resumes with its copies has nothing to copy.
     sources = set[Path]()
-    if not study.is_relative_to(base):  # otherwise the study resumes with its copies
-        modules = {getattr(module, "__file__", None) or "/" for module in [*sys.modules.values()]}
-        opened = map(Path.resolve, {*_opened, *map(Path, modules)})
-        beside = {path for path in opened if path.is_relative_to(study.parent)}
-        # Files of Python and of the folder itself are not part of the study.
-        sources = {study} | {
-            path
-            for path in beside | _read
-            if path.is_file()
-            and path.suffix != ".pyc"
-            and not any(map(path.is_relative_to, (sys.prefix, folder)))
-        }
+    parent = copies
+    if not study.is_relative_to(copies):
+        sources = _sources(study, folder)
         # Relative paths such as ../flights lead from the copy of the study to those of its data.
-        base = Path(os.path.commonpath([path.parent for path in sources]))
+        parent = Path(os.path.commonpath([path.parent for path in sources]))
     for source in sources:
-        place = folder / INPUTS / source.relative_to(base)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if place.parent.resolve() != place.parent:  # files elsewhere would be replaced
-            raise ValueError(f"{place.parent} is a link: no study has such a thing.")
-        with replacing(place) as temporary:
+        copy = copies / source.relative_to(parent)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        # Through a link, files elsewhere would be replaced.
+        if copy.parent.resolve() != copy.parent:
+            raise ValueError(f"{copy.parent} is a link: no study has such a thing.")
+        with replacing(copy) as temporary:
             shutil.copyfile(source, temporary)
-    name = study.relative_to(base).as_posix()
+    name = study.relative_to(parent).as_posix()
     _remove_bytecode(folder)
     write_text(folder / STATED, json.dumps([name, starts, _mark(folder, name, starts)]))
+
+
+def _sources(study: Path, folder: Path) -> set[Path]:
+    """Return the files of a study, whose answers are in a folder."""
+    opened = set(_opened)
+    for module in [*sys.modules.values()]:
+        file = getattr(module, "__file__", None)
+        if file:
+            opened.add(Path(file))
+    sources = {study}
+    for path in opened:
+        resolved = path.resolve()
+        if resolved.is_relative_to(study.parent) and _is_input(resolved, folder):
+            sources.add(resolved)
+    for path in _read:
+        if _is_input(path, folder):
+            sources.add(path)
+    return sources
+
+
+def _is_input(path: Path, folder: Path) -> bool:
+    """Return whether a file may belong to a study, and not to Python or to the folder itself."""
+    is_of_python = path.suffix == ".pyc" or path.is_relative_to(sys.prefix)
+    return path.is_file() and not is_of_python and not path.is_relative_to(folder)
 
 
 def stated_inputs(folder: Path, *, trust: bool = False) -> tuple[str, int | None]:
@@ -91,7 +120,7 @@ def stated_inputs(folder: Path, *, trust: bool = False) -> tuple[str, int | None
     Raises
     ------
     FileNotFoundError
-        If the folder has none, as that of a program.
+        If the folder has no study file, because a Python program began the study.
     ValueError
         If another user wrote its files, without `trust`.
     """
@@ -119,6 +148,7 @@ def stated_inputs(folder: Path, *, trust: bool = False) -> tuple[str, int | None
 
 
 def _mark(folder: Path, *others: str | int | None) -> str:
+    """Return the mark of this user on the inputs in a folder, and on other values."""
     return mark_of_files(folder / INPUTS, *others, but=folder / STATED)
 
 

@@ -1,13 +1,19 @@
 """The command `greybox tune`: gains that meet requirements and are better than today's."""
 
 import argparse
+from datetime import date
+from pathlib import Path
 
 from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.data.files.named_values import attributes
+from greybox.data.files.version import __version__
+from greybox.data.record import Recording
 from greybox.workflows.experiment.gain_file import write_gains
-from greybox.workflows.experiment.safe_gains import safe_gains
+from greybox.workflows.experiment.gain_objectives import RejectionBandwidth
+from greybox.workflows.experiment.gain_search import STEPS
+from greybox.workflows.experiment.safe_gains import PROMISE, SafeGains, safe_gains
 from greybox.workflows.study.catalog import shipped_module
 
 EXAMPLES = (
@@ -29,8 +35,15 @@ fits RESULT...
 --axis AXIS
     roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
 --gains NAME[=LOW:HIGH]...
-    one to three gains, and the range in which to look for safe ones: without one, a quarter to four
-    times today's gain; without the option, P and D of the rate controller of the log
+    one to three gains, and where to look for safe ones: by default as far as --range allows;
+    without the option, P and D of the rate controller of the log
+--range FACTOR
+    largest factor by which a proposed gain may differ from today's (default: 2)
+--objective {{moment,bandwidth}}
+    what the gains should improve: the response to a step moment (moment, the default), or the
+    disturbance rejection bandwidth
+--noise-factor FACTOR
+    how many times today's noise at the actuator is accepted (default: 1.5)
 --phase-margin DEGREES
     required phase margin in degrees (default: 45)
 --gain-margin DB
@@ -46,23 +59,31 @@ fits RESULT...
     names of the gains in the firmware, for --parameters
 --parameters FILE
     write the proposed gains to a file for a ground station: .param for ArduPilot, .params for PX4,
-    .txt for the command line of Betaflight; no file is written where today's gains are to be kept
+    .txt for the command line of Betaflight; with _step1 and _step2 in their names, files for a
+    third and two thirds of the way; no file is written where today's gains are to be kept
 --plot FILE
-    draw the allowed gains into this png, pdf or svg file
+    draw the allowed gains, and both loops, into this png, pdf or svg file
+--report FILE
+    write a page about the fits with both loops, as greybox report does
 --force
 """
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, try the gains, and return the proposed ones, or to keep today's."""
-    require_writable(
-        options.parameters, options.force, (".param", ".parm", ".params", ".txt"), "parameter file"
-    )
+    endings = (".param", ".parm", ".params", ".txt")
+    files = _step_files(options.parameters) if options.parameters else []
+    for path in files:
+        require_writable(path, options.force, endings, "parameter file")
     require_figure(options.plot, options.force)
+    require_writable(options.report, options.force, (".html", ".htm"), "page")
     fits = [saved_fit(path, options) for path in options.fits]
     required = attributes(
-        options, "phase_margin", "gain_margin", "delay", "level", "broken_at", "at"
+        options, "phase_margin", "gain_margin", "delay", "level", "broken_at", "at", "noise_factor"
     )
+    required["change"] = options.range
+    if options.objective == "bandwidth":
+        required["objective"] = RejectionBandwidth(options.broken_at)
     log = flight_log(fits[0], options.fits[0], options)
     if log:
         safe = shipped_module("models", "firmware").safe_gains_of_log(
@@ -75,14 +96,44 @@ def run(options: argparse.Namespace) -> Answer:
         )
     else:
         safe = safe_gains(fits, stated_controllers(options), options.gains, **required)
+
     answer = safe.to_dict()
     lines = save_figure(options.plot, "gains", safe)
+    if options.report:
+        from greybox.reporting.html_report.report import report  # noqa: PLC0415  (slow import)
+
+        report(fits, options.report, gains=safe)
+        lines.append(f"wrote {options.report}")
     if not safe.is_usable:
         answer["error"] = safe.verdict
-    elif options.parameters and not safe.best:
+    elif files and not safe.best:
         lines.append(f"{options.parameters} was not written.")
-    elif options.parameters:
-        names = options.names
-        write_gains({names.get(n, n): value for n, value in safe.best.items()}, options.parameters)
-        lines.insert(0, f"The proposed gains are in {options.parameters}.")
+    elif files:
+        about = _comments(safe, options, log)
+        for k, (path, gains) in enumerate(zip(files, safe.steps, strict=True), 1):
+            named = {options.names.get(name, name): value for name, value in gains.items()}
+            write_gains(named, path, [f"Step {k} of {len(files)} from today's gains.", *about])
+        first, second, last = files
+        lines.insert(0, f"The proposed gains are in {last}; fly {first} and {second} before.")
     return answer, str(safe), *lines
+
+
+def _step_files(path: Path) -> list[Path]:
+    """Return the files of the steps to the proposed gains; the last is the stated one."""
+    before = [path.with_stem(f"{path.stem}_step{k}") for k in range(1, STEPS)]
+    return [*before, path]
+
+
+def _comments(safe: SafeGains, options: argparse.Namespace, log: Recording | None) -> list[str]:
+    """Return why the gains are proposed, with intervals, and from which flight."""
+    sources = [str(path) for path in options.fits]
+    if log:
+        sources.append(f"{log.source}, sha256 {log.checksum}")
+    today = ", ".join(f"{name} {value:.7g}" for name, value in safe.today.items())
+    return [
+        f"greybox {__version__}, {date.today()}, from {', '.join(sources)}",
+        f"Today's gains: {today}",
+        safe.verdict[0].upper() + safe.verdict[1:],
+        str(safe.comparison),
+        PROMISE,
+    ]

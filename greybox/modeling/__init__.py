@@ -25,7 +25,8 @@ Begin with `model`.
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
 | `added_terms` | an ODE with further terms in its derivatives |
-| `colored_disturbance` | an ODE with gusts on its derivatives |
+| `disturbance` | what white noise drives and adds to a derivative, such as a gust |
+| `colored_disturbance` | an ODE with such disturbances |
 | `formulation/` | what is estimated from what: problems, criteria, starts |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """

@@ -1,4 +1,4 @@
-"""Correlations of residuals in time, and with inputs: statistics, and their chance.
+"""Tests for autocorrelation of residuals, and for their correlation with inputs.
 
 Series are stretches with NaN for missing samples.
 """
@@ -14,18 +14,31 @@ from greybox.data.files.frozen_values import frozen
 from greybox.statistics.metrics import rms
 from greybox.statistics.residual_autocorrelation import autoregression
 
-LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
-# Means are of ever more samples, each time by this factor: correlations at 12 of its multiples
-# overlap. Fewer means than these hardly have correlations at 12 lags.
-COARSER, FEWEST_MEANS = 4, 150
-NORMAL_99 = 2.576  # standard deviations within which 99 % of normal values lie
+# Lags of a test by default: Ljung (1999), section 16.6, takes 20 to 30.
+LAGS = 25
+# Factor between the numbers of samples in the means of successive tests. The lags that two
+# successive tests cover overlap, so that no correlation is missed between them.
+COARSER = 4
+# Fewest means of a test: with fewer, correlations at 12 lags are too uncertain.
+FEWEST_MEANS = 150
+# Standard deviations within which 99 % of normal values lie.
+NORMAL_99 = 2.576
 
 
 @frozen
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 
-    `correlations` (lags,) are those tested. By chance, 99 % of them lie within ± `bound`.
+    Attributes
+    ----------
+    statistic, dof : float
+        The statistic has a chi-square distribution with these degrees of freedom if nothing is
+        correlated.
+    p_value : float
+    correlations : (lags,) array
+        The tested correlations.
+    bound : float
+        Without correlation, 99 % of `correlations` lie within ± `bound`.
     """
 
     statistic: float
@@ -61,12 +74,14 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
 
     r = sums[1:] / sums[0]
     pairs = pairs[1:]
-    # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2))
+    # For white residuals r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2))
     # without a gap.
     used = pairs > 0
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
 
-    return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
+    return _chi_square_test(
+        statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n)
+    )
 
 
 def whiteness_of_means(
@@ -75,14 +90,15 @@ def whiteness_of_means(
     """Test residuals and their means over ever more samples, see `whiteness`.
 
     Noise of a sensor that is sampled fast hides slow errors from one sample to the next, and
-    averages out of means. Every test is a pair of the number of samples in a mean and the result;
-    whoever takes the least probability divides the level by their number.
+    averages out of means. Every test is a pair of the number of samples in a mean and the result.
+    With the smallest p-value of all tests, divide the level by their number (Bonferroni).
     """
     series = [_present(s) for s in stretches]
     present = sum(np.isfinite(s).sum() for s in series)
     tests = [(1, whiteness(series, lags, fitted))]
     count = COARSER
     while present >= FEWEST_MEANS * count:
+        # Fitted gains null the correlations of neighboring samples, not those of means.
         tests.append((count, whiteness([_means(s, count) for s in series], lags)))
         count *= COARSER
     return tests
@@ -100,41 +116,50 @@ def _means(values: Array, count: int) -> Array:
 def cross_correlation(
     later: Sequence[ArrayLike], earlier: Sequence[ArrayLike], lags: int = LAGS
 ) -> CorrelationTest:
-    """Test whether a signal follows another one of 1 to `lags` samples before.
+    """Test whether a signal follows another one with a delay of 1 to `lags` samples.
 
     Residuals that follow an input show that the model lacks dynamics; an input that follows
-    residuals shows feedback. The same sample is not tested, since feedback may act within it. Both
-    are made white first, each by an autoregression of its own, so that the color of neither looks
-    like a response. No autoregression makes a sweep or a sine white: its correlations at many lags
-    are nearly one, and count as few degrees of freedom.
+    residuals shows feedback. A delay of zero is not tested, since feedback may act within a sample.
+    Both signals are whitened first, each by its own autoregression: the correlation of either in
+    time would otherwise look like a response. No autoregression whitens a sweep or a sine: its
+    correlations at many lags are nearly one, and count as few degrees of freedom.
 
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
     71; Ljung (1999), System Identification, 2nd ed., section 16.6; Satterthwaite (1946), Biometrics
     Bulletin 2, for a sum of squares of correlated numbers.
     """
-    e, u = ([_present(s) for s in group] for group in (later, earlier))
-    if sum(np.isfinite(x * y).sum() for x, y in zip(e, u, strict=True)) < 3:
+    later_series = [_present(s) for s in later]
+    earlier_series = [_present(s) for s in earlier]
+    both = zip(later_series, earlier_series, strict=True)
+    if sum(np.isfinite(e * u).sum() for e, u in both) < 3:
         return _unknown(lags)
 
-    a, b = (_whitened(group)[0] for group in (e, u))
-    sums, pairs = _lagged(a, b, lags)
-    sizes = [rms(np.concatenate(group)) for group in (a, b)]
+    white_later, _ = _whitened(later_series)
+    white_earlier, _ = _whitened(earlier_series)
+    sums, pairs = _lagged(white_later, white_earlier, lags)
+    later_size = rms(np.concatenate(white_later))
+    earlier_size = rms(np.concatenate(white_earlier))
     used = pairs[1:] > 0
-
-    if not (sizes[0] > 0 and sizes[1] > 0 and used.any()):
+    # The negated comparison is also true for NaN.
+    if not (later_size > 0 and earlier_size > 0 and used.any()):
         return _unknown(lags)
-    r = sums[1:] / np.maximum(pairs[1:], 1) / (sizes[0] * sizes[1])
-    alike = max(_alike(group, int(used.sum())) for group in (a, b))
-    statistic = float(np.sum(pairs[1:] * r**2)) / alike
-    return _tested(statistic, used.sum() / alike, r, NORMAL_99 / math.sqrt(pairs[1]))
+
+    r = sums[1:] / np.maximum(pairs[1:], 1) / (later_size * earlier_size)
+    count = int(used.sum())
+    inflation = max(
+        _variance_inflation(white_later, count), _variance_inflation(white_earlier, count)
+    )
+    statistic = float(np.sum(pairs[1:] * r**2)) / inflation
+    return _chi_square_test(statistic, count / inflation, r, NORMAL_99 / math.sqrt(pairs[1]))
 
 
-def _alike(series: Sequence[Array], shifts: int) -> float:
-    """Return how many of these shifts of a series count as one: 1 for a white series."""
-    sums, pairs = _lagged(series, series, shifts - 1)
+def _variance_inflation(series: Sequence[Array], lags: int) -> float:
+    """Return how many lags of a series count as one: 1 for a white series."""
+    sums, pairs = _lagged(series, series, lags - 1)
     # By chance, a squared correlation is the inverse of the number of samples.
     squares = (sums[1:] / sums[0]) ** 2 - 1 / pairs[0]
-    return 1 + max(2 * float((1 - np.arange(1, shifts) / shifts) @ squares), 0.0)
+    weights = 1 - np.arange(1, lags) / lags
+    return 1 + max(2 * float(weights @ squares), 0.0)
 
 
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
@@ -149,19 +174,23 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     if n < 3:
         return math.nan, math.nan
 
-    white, a = _whitened(series)
-    # The spectrum at zero gives the variance of the mean: samples like their neighbors count less.
-    variance = rms(np.concatenate(white)) ** 2 / float(a.sum()) ** 2
+    white, coefficients = _whitened(series)
+    # The spectrum at zero frequency gives the variance of the mean: correlated samples count less.
+    variance = rms(np.concatenate(white)) ** 2 / float(coefficients.sum()) ** 2
     return float(np.nanmean(np.concatenate(series))), math.sqrt(variance / n)
 
 
 def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     """Return series less their common mean, filtered by their autoregression, and its filter."""
     mean = float(np.nanmean(np.concatenate(series)))
-    a = autoregression([np.nan_to_num(s - mean) for s in series])
+    coefficients = autoregression([np.nan_to_num(s - mean) for s in series])
     # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
-    missing = np.full(a.size - 1, np.nan)
-    return [np.convolve(np.append(missing, s - mean), a, mode="valid") for s in series], a
+    missing = np.full(coefficients.size - 1, np.nan)
+    white = []
+    for values in series:
+        centered = np.append(missing, values - mean)
+        white.append(np.convolve(centered, coefficients, mode="valid"))
+    return white, coefficients
 
 
 def _present(values: ArrayLike) -> Array:
@@ -172,22 +201,32 @@ def _present(values: ArrayLike) -> Array:
 
 def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
-    sums = np.zeros((2, lags + 1))
-    for pair in zip(e, u, strict=True):
-        if not pair[0].size:
+    sums = np.zeros(lags + 1)
+    pairs = np.zeros(lags + 1)
+    padding = np.zeros(lags)
+    for later, earlier in zip(e, u, strict=True):
+        if not later.size:
             continue
-        present = [np.isfinite(values) for values in pair]
-        values = map(np.nan_to_num, pair)
-        for k, (later, earlier) in enumerate((values, present)):
-            sums[k] += np.correlate(np.append(later, np.zeros(lags)), earlier)
-    return sums[0], sums[1]
+        sums += np.correlate(np.append(np.nan_to_num(later), padding), np.nan_to_num(earlier))
+        pairs += np.correlate(np.append(np.isfinite(later), padding), np.isfinite(earlier))
+    return sums, pairs
 
 
-def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> CorrelationTest:
+def _chi_square_test(
+    statistic: float, dof: float, correlations: Array, bound: float
+) -> CorrelationTest:
+    """Return the test of a statistic that has a chi-square distribution."""
     from scipy.special import chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     return CorrelationTest(statistic, dof, float(chdtrc(dof, statistic)), correlations, bound)
 
 
 def _unknown(lags: int) -> CorrelationTest:
-    return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
+    """Return the test of series with too few values."""
+    return CorrelationTest(
+        statistic=math.nan,
+        dof=0,
+        p_value=math.nan,
+        correlations=np.full(lags, np.nan),
+        bound=math.nan,
+    )

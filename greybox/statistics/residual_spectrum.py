@@ -51,6 +51,14 @@ LONGEST_CORRECTED = 50_000
 # the dynamics.
 BLOCKS = (1, 24)
 
+# Number of samples of an output above which process noise through the dynamics of the model is left
+# out: so long a record shows its spectrum without the model.
+LONGEST_WITH_PROCESS_NOISE = 10_000
+
+# Difference of scores (-2 log likelihood) above which a spectrum is left out of an average: it is
+# less likely than the best one by exp(-9), about 1 to 10 000.
+LARGEST_DIFFERENCE = 18.0
+
 # Shares of the slow part in the variance. A grid denser by 1.5 changes no standard error by 2 %.
 SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0])
 
@@ -122,9 +130,13 @@ class ResidualSpectra:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         # `covariances` adds the adjoint, so that every transform contributes half of the power.
         scale = (self.deviation * np.sqrt(2 * self.counts))[:, None]
-        transforms = (np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals)
-        factors = ((z, z) for z in transforms)
-        lags, banded = self.grid.covariances(factors, self.highest_order)
+
+        def factors() -> Iterator[tuple[ComplexArray, ComplexArray]]:
+            for e in self.residuals:
+                transform = np.fft.rfft(e / scale, self.grid.size)[:, None]
+                yield transform, transform
+
+        lags, banded = self.grid.covariances(factors(), self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
 
@@ -139,8 +151,9 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities. `taken_by` is its mean product with a spectrum."""
-        factors = ((z, z) for z in self.transforms())
-        return self.grid.covariances(factors)[1].conj() / 2
+        factors = ((transform, transform) for transform in self.transforms())
+        _, banded = self.grid.covariances(factors)
+        return banded.conj() / 2
 
     @cached_property
     def slow(self) -> Array:
@@ -197,9 +210,9 @@ class ResidualSpectra:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
-        score, density, *others = stacked(candidates)
-        density = np.array([unmasked(spectrum, shares, self.grid) for spectrum in density])
-        return averaged(score, density, *others)
+        score, densities, taken, uncertainty = stacked(candidates)
+        density = np.array([unmasked(spectrum, shares, self.grid) for spectrum in densities])
+        return averaged(score, density, taken, uncertainty)
 
     def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
         """Return the average with process noise; its score is the evidence for process noise."""
@@ -214,10 +227,10 @@ class ResidualSpectra:
         total = float(taken.sum())
 
         return AveragedSpectrum(
-            density[:, None] * np.eye(len(density), dtype=complex)[..., None],
-            total,
-            float(uncertainty @ taken**2) / max(total**2, TINY),
-            float(score.sum()),
+            density=density[:, None] * np.eye(len(density), dtype=complex)[..., None],
+            taken=total,
+            uncertainty=float(uncertainty @ taken**2) / max(total**2, TINY),
+            score=float(score.sum()),
         )
 
     def judged_on_residuals(
@@ -227,8 +240,8 @@ class ResidualSpectra:
         # Process noise is scored on the uncorrected residuals, so the other spectra must be, too.
         errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
-        likely = self._left(self.grid.spread_out(average.density))
-        score, *_ = whittle_score(likely, self.periodogram[1].T, self._numbers)
+        expected = self._left(self.grid.spread_out(average.density))
+        score, *_ = whittle_score(expected, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
     @cached_property
@@ -245,9 +258,10 @@ class ResidualSpectra:
         parts = self.noise_parts(correlation)
         if parts is None:
             return None
-        densities, of_residuals = parts
+        densities, expected_periodograms = parts
+        _, banded = self.periodogram
         variance, covariance, score = variance_components(
-            of_residuals, self.periodogram[1].T, self._numbers, len(self.counts)
+            expected_periodograms, banded.T, self._numbers, len(self.counts)
         )
         density = np.tensordot(variance, densities, 1)
         taken = np.array([self.taken_by(part) for part in densities]) * variance
@@ -255,10 +269,10 @@ class ResidualSpectra:
         share = taken / max(total, TINY)
 
         return AveragedSpectrum(
-            density,
-            total,
-            float(share @ covariance @ share),
-            score + aicc_penalty(len(variance), self.counts.sum()),
+            density=density,
+            taken=total,
+            uncertainty=float(share @ covariance @ share),
+            score=score + aicc_penalty(len(variance), self.counts.sum()),
         )
 
     def gain_of_gusts(self) -> float:
@@ -282,24 +296,25 @@ class ResidualSpectra:
         spectra (c, k, k, b) of these c parts. The second contains the expected periodograms
         (c, b, k, k) of the residuals, which account for the fit and for missing samples.
         """
-        # A longer record shows the spectrum of process noise without the model's dynamics.
-        if self.counts.max() > 10_000:
+        if self.counts.max() > LONGEST_WITH_PROCESS_NOISE:
             return None
 
-        filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
-        parts = []
+        colored_shocks = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
+        process_parts = []
         # Process noise of a state that affects no output cannot be estimated.
-        for H in filtered.swapaxes(0, 1):
+        for H in colored_shocks.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = (np.abs(H) ** 2 @ self.grid.weight).mean()
             if power > TINY:
                 spectrum /= power
-                parts.append((self.grid.banded(spectrum), self._left(spectrum)))
+                process_parts.append((self.grid.banded(spectrum), self._left(spectrum)))
 
-        if not parts:
+        if not process_parts:
             return None
-        density, of_residuals = zip(*self._sensor_parts, *parts, strict=True)
-        return np.array(density), np.array(of_residuals)
+        parts = [*self._sensor_parts, *process_parts]
+        densities = np.array([density for density, _ in parts])
+        expected_periodograms = np.array([expected for _, expected in parts])
+        return densities, expected_periodograms
 
     @cached_property
     def _shock_transforms(self) -> ComplexArray:
@@ -350,15 +365,13 @@ class ResidualSpectra:
         score = np.concatenate([score, slow_score])
         within = np.concatenate([2 * unknowns / n, np.full(len(slow_scale), 2 / n)])
 
-        # Scores are 2 log of the likelihood: above this difference, a spectrum is less likely by
-        # exp(-9), about 1 to 10 000, and does not change the average.
-        likely = score < score.min() + 18.0
-        regressions, slow = np.split(likely, [len(variances)])
-        responses = coefficients[regressions] @ grid.delays[: len(r)]
-        shapes = [1 / np.abs(responses) ** 2, self.slow[slow]]
-        spectra = scale[likely, None] * np.concatenate(shapes)
+        is_likely = score < score.min() + LARGEST_DIFFERENCE
+        is_likely_regression, is_likely_slow = np.split(is_likely, [len(variances)])
+        responses = coefficients[is_likely_regression] @ grid.delays[: len(r)]
+        shapes = [1 / np.abs(responses) ** 2, self.slow[is_likely_slow]]
+        spectra = scale[is_likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
-        return averaged(score[likely], spectra, taken, within[likely])
+        return averaged(score[is_likely], spectra, taken, within[is_likely])
 
     def slow_errors(self, *, corrected: bool) -> Array:
         """Return the evidence for slow errors and the number of informative lines, (2, k).
@@ -374,8 +387,8 @@ class ResidualSpectra:
         scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
         total = np.logaddexp.reduce(half, axis=1)
-        shown = np.einsum("iib->ib", self.power).real
-        width = self.grid.mean(shown) ** 2 / (self.grid.mean(shown**2) + TINY)
+        information = np.einsum("iib->ib", self.power).real
+        width = self.grid.mean(information) ** 2 / (self.grid.mean(information**2) + TINY)
         lines = self.grid.longest / 2 * width
         return np.array([2 * (total - math.log(half.shape[1])), lines])
 

@@ -204,7 +204,10 @@ def test_grades_differ_by_what_is_wrong():
         misfit = SimpleNamespace(
             explains=explains, is_large=is_large, is_drifting=False, likely=(), verdict=""
         )
-        assert told(misfit=misfit).grade == grade
+        judged = told(misfit=misfit)
+        assert judged.grade == grade
+        # Nothing is well determined by a model that is wrong.
+        assert any("well determined" in text for text in judged.sentences) == explains
     assert told(agreeing=0).grade == "poor"
 
 

@@ -169,6 +169,23 @@ class OneBoard(gb.formulation.ErrorCovariance):
 
 
 @dataclass(frozen=True)
+class Waves(gb.formulation.Disturbance):
+    """Swell: white noise through a lightly damped oscillator, whose velocity is the disturbance."""
+
+    damping: float = 0.1
+    states: ClassVar[tuple[str, ...]] = ("swell", "heave")
+    driven: ClassVar[tuple[str, ...]] = ("swell",)
+
+    def parameters(self, state, times):
+        step, duration = times
+        bounds = (6 / duration, 1 / step)
+        return {"peak": gb.Parameter(1.0, bounds=bounds, scale="log", unit="rad/s")}
+
+    def derivative(self, x, p):
+        return [-2 * self.damping * p.peak * x.swell - p.peak**2 * x.heave, x.swell]
+
+
+@dataclass(frozen=True)
 class Slsqp(gb.Solver):
     """Sequential quadratic programs, by SciPy: values, gradients, bounds and constraints."""
 

@@ -1,11 +1,14 @@
 """What several checks of records ask of them."""
 
+from typing import Any
+
 from greybox.assessment.checks.evidence import Evidence, Pairs
 from greybox.assessment.disturbed_state import disturbed_state
 from greybox.assessment.fitted_part import FittedRecord
 from greybox.data.files.arrays import Array
 from greybox.engine.compiled.record_part import RecordPart
 from greybox.modeling.colored_disturbance import ColoredDisturbance
+from greybox.modeling.disturbance import stated_disturbance
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
@@ -37,10 +40,11 @@ def gust_criterion(evidence: Evidence, part: RecordPart) -> str:
     A model that has gusts already keeps them.
     """
     model = part.problem.model
-    states = list(model.disturbed) if isinstance(model, ColoredDisturbance) else []
+    stated = dict[str, Any]()
+    if isinstance(model, ColoredDisturbance):
+        stated = {s: stated_disturbance(color) for s, color in model.disturbances.items()}
     if part.system.states:
-        states.append(disturbed_state(part, evidence.trajectory(part)))
-    if not states:  # delays alone
+        stated.setdefault(disturbed_state(part, evidence.trajectory(part)), "colored")
+    if not stated:  # delays alone
         return "PredictionError()"
-    gusts = ", ".join(f"{state!r}: 'colored'" for state in dict.fromkeys(states))
-    return f"PredictionError(disturbance={{{gusts}}})"
+    return f"PredictionError(disturbance={stated})"

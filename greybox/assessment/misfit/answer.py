@@ -21,6 +21,7 @@ DRIFTING, NOTICED = 0.95, 0.01
 # 1000 samples by chance, and 0.2 of few.
 COLORED = 0.5
 SLOW = 0.99  # such a share at values that gusts bias
+MUCH = 0.25  # of the variance: residuals of half the standard deviation of an output
 # Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
 # noise leaves rounding and integration errors, which may follow the input.
 EXACT = 1e-12
@@ -182,6 +183,13 @@ class Misfit(Printed):
         return self.explains and self.drift > DRIFTING and self.left > NOTICED
 
     @property
+    def is_conditional(self) -> bool:
+        """Whether it explains the data only if errors drift, are correlated, or are large."""
+        return self.explains and (
+            self.is_drifting or bool(self.likely) or (self.left > MUCH and not self.is_exact)
+        )
+
+    @property
     def may_be_gusts(self) -> bool:
         """Whether a right model may look like this.
 
@@ -233,13 +241,11 @@ class Misfit(Printed):
         terms = f"none of {self.tried} missing terms"
         if self.drift > COLORED:
             share = percent(self.drift)
-            terms += f", but are not white: earlier samples predict {share} % of their variance"
-        # Residuals of half the standard deviation of an output, or more. White ones are noise;
-        # those that their past predicts may also be a motion that the model lacks.
-        if self.left * self.drift > 0.25:
-            return f"may explain the data: {left} none of {self.tried} missing terms"
-        size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
-        return f"explains the data: the residuals{size} follow {terms}"
+            terms += f"; earlier samples predict {share} % of these residuals, which are not white"
+        # What is left may be noise, or a motion that no term of the test has.
+        if self.left > MUCH:
+            return f"is not contradicted by the data: {left} {terms}"
+        return f"explains the data: the residuals follow {terms}"
 
     def __str__(self) -> str:
         header = ["term", "factor", "± error", "explains", "p", "how to add it"]

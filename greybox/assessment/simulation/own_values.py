@@ -1,9 +1,9 @@
-"""Estimates biases and trims of a record to which the model was not fitted.
+"""Estimate the biases and trims of a record to which the model was not fitted.
 
 The bias of a sensor and a trim parameter belong to a record, not to the model. On another record
 they have other values: those that predict its windows best. Gauss-Newton steps on the samples of
-all windows find them. The model's parameters are held, and the first state of every window is an
-unknown about a mean that the windows share.
+all windows find these values. The model's parameters are fixed. The initial states of the windows
+are unknown, too: they scatter about a mean that all windows share.
 Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed., section
 14.4: verification with biases and reference shifts estimated anew.
 """
@@ -32,7 +32,16 @@ from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, lower_and_upper
 from greybox.statistics.column_space import pseudo_inverse
 
-BLIND = 1e-9  # relative eigenvalue of the information below which a direction is not determined
+# Relative eigenvalue of the information below which a direction is not determined.
+BLIND = 1e-9
+# Most Gauss-Newton steps. Biases and trims are nearly linear: two or three are enough.
+MOST_STEPS = 15
+# Most halvings of a step.
+MOST_HALVINGS = 8
+# Mean square of the residuals of longer windows over that of shorter ones, up to which the longer
+# ones are used. A tenth more in rms is due to slow errors of the model; with more, the free
+# simulation no longer follows the record.
+LARGEST_INCREASE = 1.2
 
 
 def with_own_values(
@@ -43,8 +52,13 @@ def with_own_values(
 ) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the model with the values `own` estimated from the windows.
 
-    Also returned are these values with their standard errors, which include those of the model's
-    parameters, and sentences on what was estimated and what could not be.
+    Returns
+    -------
+    model : ModelAtEstimate
+    values : mapping of name to (value, standard error)
+        The estimated values. Their errors include those of the model's parameters.
+    notes : tuple of str
+        Sentences on what was estimated and what could not be.
 
     Raises
     ------
@@ -64,13 +78,12 @@ def with_own_values(
     simulator = Simulator(biased, windows.outputs, integrator)
 
     # Short windows come first: they follow the record even with wrong values.
-    estimate = _determined(simulator, biased, windows, parameters)
-    for longer in _longer(biased, windows):
-        candidate = _determined(simulator, estimate.model, longer, parameters)
-        # Up to a tenth more in rms is due to slow errors of the model. With more, the free
-        # simulation no longer follows the record.
+    estimate = _estimated(simulator, biased, windows, parameters)
+    for longer in _longer_windows(windows):
+        candidate = _estimated(simulator, estimate.model, longer, parameters)
         reference = estimate.mean_square if estimate.names else math.inf
-        if not candidate.names or candidate.mean_square > 1.2 * max(reference, 1.0):
+        limit = LARGEST_INCREASE * max(reference, 1.0)
+        if not candidate.names or candidate.mean_square > limit:
             break
         if candidate.certainty > estimate.certainty:
             estimate = candidate
@@ -86,17 +99,17 @@ def with_own_values(
         return model, {}, notes
 
     covariance = _covariance(simulator, estimate)
-    errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
-    values = dict(
-        zip(estimate.names, zip(estimate.values.tolist(), errors, strict=True), strict=True)
-    )
+    errors = np.sqrt(np.diag(covariance)[estimate.places])
+    values = {}
+    texts = []
+    for k, name in enumerate(estimate.names):
+        value, error = float(estimate.values[k]), float(errors[k])
+        values[name] = (value, error)
+        unit = parameters[name].unit
+        number = " ± ".join(with_error(value, error))
+        texts.append(f"{name} = {number} {'' if unit == '1' else unit}".rstrip())
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in windows.outputs)
-    texts = []
-    for name, pair in values.items():
-        unit = parameters[name].unit
-        number = " ± ".join(with_error(*pair))
-        texts.append(f"{name} = {number} {'' if unit == '1' else unit}".rstrip())
     note = (
         f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {title} "
         f"itself: {counted(len(texts), 'value')} from {counted(numbers, 'number')}, "
@@ -109,8 +122,20 @@ def with_own_values(
 class _Estimate:
     """A model, and the normal equations of its values at `places`, linearized at these values.
 
-    `matrix` (a, a) and `gradient` (a,) have the first states and their mean eliminated; `squares`
-    is the sum of the remaining weighted residuals, `numbers` their count.
+    The initial states of the windows and their mean are eliminated from the equations.
+
+    Attributes
+    ----------
+    model : ModelAtEstimate
+    windows : Windows
+    places : (a,) int array
+        Places of the estimated values among those of the model.
+    matrix, gradient : (a, a) and (a,) arrays
+        Normal equations: `matrix` times a step equals `gradient`.
+    squares : float
+        Sum of the squared weighted residuals.
+    numbers : int
+        Number of residuals.
     """
 
     model: ModelAtEstimate
@@ -150,7 +175,7 @@ class _Estimate:
         return len(self.places), -float(np.sum(np.log(np.diag(self.covariance))))
 
 
-def _longer(model: ModelAtEstimate, windows: Windows) -> Iterator[Windows]:
+def _longer_windows(windows: Windows) -> Iterator[Windows]:
     """Yield windows of the record, each four times as long as the last, to the longest stretch.
 
     The longer a free simulation is, the better it shows constant errors.
@@ -159,18 +184,19 @@ def _longer(model: ModelAtEstimate, windows: Windows) -> Iterator[Windows]:
     if not record.has_time:
         return
 
-    # No window reaches across a gap, behind which the state is unknown.
+    # No window extends across a gap, behind which the state is unknown.
     inputs = windows.inputs
     lead, horizon = windows.lengths
-    longest = max(float(s.steps.sum()) for s in gapless(record, inputs, outputs))
-    most = longest - lead
-    while horizon < (1 - ROUNDING) * most:
-        horizon = min(4 * horizon, most)
+    stretches = gapless(record, inputs, outputs)
+    longest_stretch = max(float(stretch.steps.sum()) for stretch in stretches)
+    longest_horizon = longest_stretch - lead
+    while horizon < (1 - ROUNDING) * longest_horizon:
+        horizon = min(4 * horizon, longest_horizon)
         with contextlib.suppress(ValueError):  # no outputs were measured in them
             yield cut(record, inputs, outputs, lead=lead, horizon=horizon)
 
 
-def _determined(
+def _estimated(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
@@ -179,11 +205,11 @@ def _determined(
     """Estimate those of the `parameters` that the windows determine; the others stay."""
     while True:
         estimate = _minimized(simulator, model, windows, parameters)
-        # One at a time: without that value, the record may determine the others.
-        lost = _not_determined(estimate, parameters) if parameters else ""
-        if not lost:
+        undetermined = _least_determined(estimate, parameters) if parameters else None
+        if undetermined is None:
             return estimate
-        parameters = without(parameters, (lost,))
+        # One at a time: without that value, the record may determine the others.
+        parameters = without(parameters, (undetermined,))
 
 
 def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
@@ -222,22 +248,26 @@ def _minimized(
         q[places] = np.clip(values, low, high)
         return _linearized(simulator, replace(model, q=q), windows, places)
 
-    best = at(model.q[places])
-    # Biases and trims are nearly linear: two or three iterations are enough.
-    for _ in range(15):
-        inverse = best.inverse
-        step = inverse @ best.gradient
-        # Halve a step that predicts worse by more than rounding, or leaves fewer numbers finite.
-        for _ in range(8):
-            trial = at(best.values + step)
-            is_worse = trial.mean_square > best.mean_square * (1 + 1e-6)
-            if trial.numbers >= best.numbers and not is_worse:
-                break
+    def after_step(start: _Estimate, step: Array) -> _Estimate | None:
+        """Return the estimate after a step, halved until it predicts as well; None if it fails."""
+        for _ in range(MOST_HALVINGS):
+            trial = at(start.values + step)
+            # Rounding does not make a step worse. One that leaves fewer numbers finite is.
+            is_worse = trial.mean_square > start.mean_square * (1 + 1e-6)
+            if trial.numbers >= start.numbers and not is_worse:
+                return trial
             step = step / 2
-        else:
+        return None
+
+    best = at(model.q[places])
+    for _ in range(MOST_STEPS):
+        inverse = best.inverse
+        trial = after_step(best, inverse @ best.gradient)
+        if trial is None:
             break
         change = np.abs(trial.values - best.values)
         best = trial
+        # A hundredth of a standard error does not change the answer.
         if np.all(change <= 0.01 * np.sqrt(np.diag(inverse))):
             break
     return best
@@ -248,8 +278,8 @@ def _linearized(
 ) -> _Estimate:
     """Return the normal equations of the values at `places`.
 
-    The first state of a window is an unknown mean of all windows plus a deviation with the spread
-    of the prior.
+    The initial state of a window is the unknown mean over all windows, plus a deviation with the
+    spread of the prior.
     """
     simulated = simulator.at(model.q).windows(windows, places)
     initial, slopes = simulated.initial, simulated.slopes
@@ -258,7 +288,8 @@ def _linearized(
     finite = ~simulated.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
     used = present & finite[:, None, None]
 
-    # The residuals are the last column of the values, for one product with both.
+    # The columns are the derivatives by the initial state (n), by the values (a), and the residual:
+    # one product transforms all of them.
     w, n = initial.states.shape
     a = len(places)
     columns = np.concatenate([slopes, residuals[..., None]], axis=3)
@@ -281,37 +312,47 @@ def _linearized(
     mean = pseudo_inverse(gram[:n, :n], BLIND)
     gram = gram[n:, n:] - gram[n:, :n] @ mean @ gram[:n, n:]
     numbers = int(used.sum())
-    return _Estimate(model, windows, places, gram[:a, :a], gram[:a, a], float(gram[a, a]), numbers)
+    return _Estimate(
+        model=model,
+        windows=windows,
+        places=places,
+        matrix=gram[:a, :a],
+        gradient=gram[:a, a],
+        squares=float(gram[a, a]),
+        numbers=numbers,
+    )
 
 
-def _not_determined(estimate: _Estimate, parameters: Parameters) -> str:
-    """Return the name of the least determined value if it is undetermined, else ""."""
-    # The share of a value in combinations that change no sample.
-    blind = 1 - np.diag(estimate.inverse @ estimate.matrix)
-    if blind.max() > 1e-4:
-        return estimate.names[np.argmax(blind)]
-    # Its error exceeds half of its bounds.
+def _least_determined(estimate: _Estimate, parameters: Parameters) -> str | None:
+    """Return the name of the least determined value; None if all are determined."""
+    # Share of each value in combinations that change no sample. Rounding leaves less than 1e-4.
+    invisible = 1 - np.diag(estimate.inverse @ estimate.matrix)
+    if invisible.max() > 1e-4:
+        return estimate.names[np.argmax(invisible)]
+    # A value whose error exceeds half of its bounds is not determined either.
     low, high = lower_and_upper(parameters.values())
     ratio = np.sqrt(np.diag(estimate.covariance)) / ((high - low) / 2)
-    return estimate.names[np.argmax(ratio)] if ratio.max() > 1 else ""
+    return estimate.names[np.argmax(ratio)] if ratio.max() > 1 else None
 
 
 def _covariance(simulator: Simulator, estimate: _Estimate) -> Array:
     """Return the covariance of all values, with those that were estimated from the record."""
     model = estimate.model
     places = estimate.places
-    exact = np.zeros((len(model.names),) * 2)
-    covariance = exact if model.covariance is None else model.covariance.copy()
+    count = len(model.names)
+    covariance = np.zeros((count, count))
+    if model.covariance is not None:
+        covariance = model.covariance.copy()
 
-    # The estimates follow the model's parameters, and share their errors.
+    # The estimates depend on the model's parameters, and share their errors.
     covariance[places] = 0.0
     covariance[:, places] = 0.0
     given = np.flatnonzero(np.nan_to_num(np.diag(covariance)) > 0)
     joint = np.concatenate([places, given])
     a = len(places)
     matrix = _linearized(simulator, model, estimate.windows, joint).matrix
-    follow = np.vstack([-estimate.inverse @ matrix[:a, a:], np.eye(len(given))])
-    shared = follow @ covariance[np.ix_(given, given)] @ follow.T
-    shared[:a, :a] += estimate.covariance
-    covariance[np.ix_(joint, joint)] = shared
+    sensitivity = np.vstack([-estimate.inverse @ matrix[:a, a:], np.eye(len(given))])
+    joint_covariance = sensitivity @ covariance[np.ix_(given, given)] @ sensitivity.T
+    joint_covariance[:a, :a] += estimate.covariance
+    covariance[np.ix_(joint, joint)] = joint_covariance
     return covariance

@@ -25,12 +25,14 @@ from greybox.data.record import Record
 from greybox.engine.compiled.sampled_data import SampledData, Stretch, gapless
 from greybox.statistics.metrics import fit_percent, rms
 
-AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported
-ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
+# Shares of the horizon at which the growth of the error is reported.
+AHEAD = (0.1, 0.25, 0.5, 1.0)
+# Share of a sample by which a length may be shorter than stated, since times are rounded.
+ROUNDING = 1e-6
 
 
 def samples_ahead(share: float, samples: int) -> int:
-    """Return how many samples ahead a share (0 to 1] of a horizon is, at least one."""
+    """Return the number of samples in a share (0 to 1] of a horizon, at least one."""
     # Without the small number, rounding of the product could add a sample.
     return max(1, math.ceil(share * samples - 1e-9))
 
@@ -76,7 +78,7 @@ class Prediction(Printed):
     own : mapping of name to (value, standard error)
         Values that belong to the record and were estimated from it: biases, trims.
     elapsed : (w, h) array, s, optional
-        From the last sample of the lead-in to each predicted one; by default whole steps.
+        Time from the last sample of the lead-in to each predicted one; by default whole steps.
     """
 
     label: str
@@ -101,7 +103,7 @@ class Prediction(Printed):
 
     @property
     def ahead(self) -> Array:
-        """How far ahead each sample of a window is predicted (h,), s; in some window at most."""
+        """How far ahead each sample of a window is predicted (h,), s; the most of all windows."""
         if self.elapsed is not None and len(self):
             return self.elapsed.max(axis=0)
         return self.data.step * np.arange(1, self.rows.shape[1] + 1)
@@ -118,19 +120,22 @@ class Prediction(Printed):
         states = zip(self.states, self.trajectory, strict=True)
         named |= {name: values for name, values in states if name not in named}
 
-        signals = {name: np.full(len(self.data), np.nan) for name in named}
-        there = self.rows >= 0
+        signals = {}
+        units = {}
+        is_sample = self.rows >= 0
         for name, values in named.items():
-            signals[name][self.rows[there]] = values[there]
-        units = {n: self.data.units.get(n.removesuffix("_error"), "") for n in named}
+            column = np.full(len(self.data), np.nan)
+            column[self.rows[is_sample]] = values[is_sample]
+            signals[name] = column
+            units[name] = self.data.units.get(name.removesuffix("_error"), "")
         return Record(self.data.time, signals, units, name=self.title, has_time=self.data.has_time)
 
     @property
     def title(self) -> str:
         """The model, and how far ahead it predicts."""
-        return (
-            f"{self.label}, {seconds(self.horizon)} s ahead" if self.data.has_time else self.label
-        )
+        if not self.data.has_time:
+            return self.label
+        return f"{self.label}, {seconds(self.horizon)} s ahead"
 
     @property
     def window(self) -> str:
@@ -138,13 +143,16 @@ class Prediction(Printed):
         return "window" if self.data.has_time else "row"
 
     def kept(self, windows: BoolArray) -> "Prediction":
-        """Return the predictions of selected windows, (w,)."""
-        named = {
-            name: getattr(self, name)[:, windows]
-            for name in ("predicted", "error", "trajectory", "one_step")
-        }
-        elapsed = None if self.elapsed is None else self.elapsed[windows]
-        return replace(self, rows=self.rows[windows], elapsed=elapsed, **named)
+        """Return the predictions of the windows that are marked in `windows` (w,)."""
+        return replace(
+            self,
+            rows=self.rows[windows],
+            elapsed=None if self.elapsed is None else self.elapsed[windows],
+            predicted=self.predicted[:, windows],
+            error=self.error[:, windows],
+            trajectory=self.trajectory[:, windows],
+            one_step=self.one_step[:, windows],
+        )
 
     def measured(self, output: str) -> Array:
         """Return the measurements in the windows, (w, h), NaN if missing."""
@@ -166,31 +174,33 @@ class Prediction(Printed):
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
         k = self._place(output)
 
-        # The noise of the sensors is in what is measured, not in the output itself.
-        half = NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(
-            self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0)
-        )
+        # A measurement contains the noise of its sensor, the output itself does not.
+        sensor_variance = self.noise[k, k] if noise else 0.0
+        quantile = NormalDist().inv_cdf(0.5 + level / 2)
+        half = quantile * np.sqrt(self.error[k] ** 2 + sensor_variance)
         return self.predicted[k] - half, self.predicted[k] + half
 
     def rms(self, output: str, share: float | None = None) -> float:
         """Return the rms error over all samples, or at a share (0 to 1] of the horizon."""
-        e = self.residual(output)
+        error = self.residual(output)
         if share is None:
-            return rms(e)
+            return rms(error)
         if self.elapsed is None:
-            return rms(e[:, samples_ahead(share, e.shape[1]) - 1])
-        # The first sample so far ahead, or the last one of the window.
-        there = self.rows >= 0
-        late = there & (self.elapsed >= (share - ROUNDING) * self.horizon)
-        last = there.shape[1] - 1 - np.argmax(there[:, ::-1], axis=1)
-        place = np.where(late.any(axis=1), np.argmax(late, axis=1), last)
-        return rms(np.take_along_axis(e, place[:, None], axis=1))
+            return rms(error[:, samples_ahead(share, error.shape[1]) - 1])
+        # On an uneven clock, the first sample at this time counts, or else the last of the window.
+        is_sample = self.rows >= 0
+        is_later = is_sample & (self.elapsed >= (share - ROUNDING) * self.horizon)
+        first_later = np.argmax(is_later, axis=1)
+        last = is_sample.shape[1] - 1 - np.argmax(is_sample[:, ::-1], axis=1)
+        place = np.where(is_later.any(axis=1), first_later, last)
+        return rms(np.take_along_axis(error, place[:, None], axis=1))
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |error| / |measured - mean|) over all windows."""
         return fit_percent(self.measured(output), self.predicted[self._place(output)])
 
     def _place(self, output: str) -> int:
+        """Return the index of an output; raise ValueError for one that was not predicted."""
         if output not in self.outputs:
             raise ValueError(
                 f"{output!r} was not predicted: give one of {', '.join(self.outputs)}."
@@ -210,13 +220,12 @@ class Prediction(Printed):
                 f"{name}, the state of each estimated from the {seconds(self.lead)} s before it"
             )
 
+        header = ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"]
         rows = [self._row(name, shares) for name in self.outputs]
-        table = text_table(
-            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"],
-            rows,
-            left=(0, 1),
-        )
-        return titled(head, [table, *(["", *self.notes] if self.notes else [])])
+        lines = [text_table(header, rows, left=(0, 1))]
+        if self.notes:
+            lines += ["", *self.notes]
+        return titled(head, lines)
 
     def _reach(self, share: float) -> float:
         """Return how far ahead a share of the horizon is, s."""
@@ -225,19 +234,21 @@ class Prediction(Printed):
         return float(self.ahead[samples_ahead(share, self.rows.shape[1]) - 1])
 
     def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
+        """Return the row of an output in the printed table."""
         k = self._place(name)
-        grown = [number(self.rms(name, share), 3) for share in shares]
-        values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
         return [
             name,
             self.data.units.get(name, ""),
-            *values,
+            number(self.fit_percent(name), 4),
+            number(self.rms(name), 3),
+            *(number(self.rms(name, share), 3) for share in shares),
             number(math.sqrt(self.noise[k, k]), 3),
             number(rms(self.error[k]), 3),
         ]
 
 
-# Samples of a default length: two or more for each state of the models here, which have 2 to 5.
+# Fewest samples of a default length: two or more for each state of the models here, which have 2
+# to 5.
 FEWEST = 10
 
 
@@ -245,28 +256,28 @@ FEWEST = 10
 class Windows:
     """The samples of a record in every window; the predicted parts follow one another.
 
-    Where samples are uneven, windows of one length have different numbers of them. Those of fewer
-    samples have their first one repeated at the beginning, and their last one at the end.
+    Where samples are uneven, windows of equal duration have different numbers of samples. A window
+    with fewer samples repeats its first sample at the beginning and its last one at the end.
 
     Attributes
     ----------
     inputs : tuple of str
-        Those of all models that are compared, which are present in every window.
+        The inputs of all models that are compared, which are present in every window.
     outputs : tuple of str
         The outputs to predict, all in the record.
     rows : (w, lead + horizon) int array
-        Indices in the record; where a row is missing, of the next one.
+        Index of each sample in the record; the index of the next one for a row that is missing.
     lead, horizon : int
         Numbers of samples; 0 and 1 for rows without a time, where every row is a window.
     columns : (w, lead + horizon) int array
-        Indices among the samples of all stretches, see `sample_data`.
+        Index of each sample among the samples of all stretches, see `sample_data`.
     repeated, filled : (w, lead + horizon) bool array
-        Repeated samples, and those that are not in the record, see `Stretch`.
+        Mark repeated samples, and samples that are not in the record, see `Stretch`.
     lengths : (float, float), s
-        Of the lead-in and of the predicted part.
+        Durations of the lead-in and of the predicted part.
     elapsed : (w, horizon) array, s, or None
-        From the last sample of the lead-in to each of the predicted part; None if that is whole
-        steps of the record.
+        Time from the last sample of the lead-in to each sample of the predicted part; None if that
+        is whole steps of the record.
     """
 
     record: Record
@@ -300,18 +311,19 @@ def default_length(records: Sequence[Record], at_least: float, delay: float = 0.
     A record that is shorter than eight times `at_least` allows an eighth of its length; one of few
     samples half, so that there is room for a lead-in and a window.
     """
-    # NaN, the step of a single sample, compares as neither more nor less than the first number.
+    # The step of a single sample is NaN. `max` and `min` begin with another number, which no
+    # comparison with NaN replaces.
     slowest = max([0.0, *(record.step for record in records)])
     # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
     length = min([at_least, *(len(record) * record.step / 8 for record in records)])
-    few = FEWEST * slowest
+    ten_samples = FEWEST * slowest
     for record in records:
         if len(record) > 1:
             # Half of the time from the first sample to a step behind the last one.
             step = min(record.step, record.duration / (len(record) - 1))
-            few = min(few, (record.duration + step) / 2)
+            ten_samples = min(ten_samples, (record.duration + step) / 2)
     # Within the longest delay, outputs respond to inputs before the lead-in.
-    return max(length, few, slowest, 2.0 * delay)
+    return max(length, ten_samples, slowest, 2.0 * delay)
 
 
 def seconds(length: float) -> str:
@@ -340,69 +352,84 @@ def cut(
     """
     require_signals(record, inputs)
     stretches = gapless(record, inputs, outputs)
+    title = record.name or "the record"
     if record.has_time:
         for name, length in (("lead", lead), (called, horizon)):
             if length < (1 - ROUNDING) * record.step:
                 raise ValueError(
                     f"{name}={seconds(length)} s is shorter than a sample of "
-                    f"{record.name or 'the record'}, {seconds(record.step)} s: give several "
+                    f"{title}, {seconds(record.step)} s: give several "
                     f"samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit it."
                 )
 
-    # Begin, end of the lead-in and end, among the samples of all stretches.
-    parts = []
+    begin, middle, end = _usable_windows(stretches, record, lead, horizon).T
+    if not begin.size:
+        if not record.has_time:
+            raise ValueError(f"{title} has no row with all inputs and an output.")
+        longest = max((float(s.steps.sum()) for s in stretches), default=0.0)
+        raise ValueError(
+            f"{title} has no room for lead={lead:g} and {called}={horizon:g} "
+            f"s with measured outputs: its longest stretch without a gap lasts {seconds(longest)} "
+            f"s; give a shorter lead or {called}, or a longer record."
+        )
+
+    # All windows have as many samples as the longest: shorter ones repeat their ends.
+    lead_samples = int((middle - begin).max())
+    horizon_samples = int((end - middle).max())
+    places = middle[:, None] + np.arange(-lead_samples, horizon_samples)
+    columns = np.clip(places, begin[:, None], end[:, None] - 1)
+    repeated = columns != places
+    rows = np.concatenate([stretch.rows for stretch in stretches])[columns]
+    are_filled = []
+    for stretch in stretches:
+        nothing = np.zeros(len(stretch), dtype=bool)
+        are_filled.append(nothing if stretch.filled is None else stretch.filled)
+    filled = np.concatenate(are_filled)[columns]
+
+    elapsed = None
+    if repeated.any() or filled.any() or record.clock.kind != "uniform":
+        times = np.concatenate([_times(stretch) for stretch in stretches])
+        elapsed = times[columns[:, lead_samples:]] - times[middle - 1, None]
+    lengths = (lead, horizon)
+    if not repeated.any():
+        step = stretches[0].step if filled.any() else record.step
+        lengths = (lead_samples * step, horizon_samples * step)
+    return Windows(
+        record=record,
+        inputs=tuple(inputs),
+        outputs=outputs,
+        rows=rows,
+        lead=lead_samples,
+        horizon=horizon_samples,
+        columns=columns,
+        repeated=repeated,
+        filled=filled,
+        lengths=lengths,
+        elapsed=elapsed,
+    )
+
+
+def _usable_windows(
+    stretches: Sequence[Stretch], record: Record, lead: float, horizon: float
+) -> IntArray:
+    """Return begin, end of the lead-in, and end (w, 3) of all windows with measured outputs.
+
+    They are indices among the samples of all stretches.
+    """
+    windows = [np.zeros((0, 3), dtype=int)]
     first = 0
     for stretch in stretches:
         ends = _windows_of(stretch, record, lead, horizon)
         # Without a measurement the lead-in informs no state, and the horizon shows no error.
         count = np.concatenate([[0], np.cumsum(np.any(np.isfinite(stretch.outputs), axis=0))])
-        measured = np.diff(count[ends], axis=1) > 0
-        usable = measured[:, 1] & (measured[:, 0] | (not record.has_time))
-        parts.append(ends[usable] + first)
-        first += len(stretch)
-
-    begin, middle, end = np.concatenate([np.zeros((0, 3), dtype=int), *parts]).T
-    if not begin.size:
+        is_measured = np.diff(count[ends], axis=1) > 0
+        lead_is_measured, horizon_is_measured = is_measured.T
         if not record.has_time:
-            raise ValueError(
-                f"{record.name or 'the record'} has no row with all inputs and an output."
-            )
-        longest = max((float(s.steps.sum()) for s in stretches), default=0.0)
-        raise ValueError(
-            f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} "
-            f"s with measured outputs: its longest stretch without a gap lasts {seconds(longest)} "
-            f"s; give a shorter lead or {called}, or a longer record."
-        )
-
-    before, after = (int(counts.max()) for counts in (middle - begin, end - middle))
-    places = middle[:, None] + np.arange(-before, after)
-    columns = np.clip(places, begin[:, None], end[:, None] - 1)
-    repeated = columns != places
-    rows = np.concatenate([s.rows for s in stretches])[columns]
-    filled = np.concatenate(
-        [np.zeros(len(s), dtype=bool) if s.filled is None else s.filled for s in stretches]
-    )[columns]
-
-    lengths, elapsed = (lead, horizon), None
-    if repeated.any() or filled.any() or record.clock.kind != "uniform":
-        times = np.concatenate([_times(stretch) for stretch in stretches])
-        elapsed = times[columns[:, before:]] - times[middle - 1, None]
-    if not repeated.any():
-        step = stretches[0].step if filled.any() else record.step
-        lengths = before * step, after * step
-    return Windows(
-        record,
-        tuple(inputs),
-        outputs,
-        rows,
-        before,
-        after,
-        columns,
-        repeated,
-        filled,
-        lengths,
-        elapsed,
-    )
+            # Rows without a time have no lead-in.
+            lead_is_measured = True
+        windows.append(ends[lead_is_measured & horizon_is_measured] + first)
+        first += len(stretch)
+    return np.concatenate(windows)
 
 
 def _times(stretch: Stretch) -> Array:
@@ -418,11 +445,8 @@ def _windows_of(stretch: Stretch, record: Record, lead: float, horizon: float) -
         return np.array([rows, rows, rows + 1]).T
     times = _times(stretch)
     if off_uniform(times) <= JITTER:
-        # Half a sample is rounded down in all records alike, however their times are rounded.
-        lead_samples, horizon_samples = (
-            max(1, math.floor(min(n / stretch.step, len(stretch)) + 0.5 - ROUNDING))
-            for n in (lead, horizon)
-        )
+        lead_samples = _whole_samples(lead, stretch)
+        horizon_samples = _whole_samples(horizon, stretch)
         starts = np.arange(0, len(stretch) - lead_samples - horizon_samples + 1, horizon_samples)
         return starts[:, None] + [0, lead_samples, lead_samples + horizon_samples]
 
@@ -432,6 +456,13 @@ def _windows_of(stretch: Stretch, record: Record, lead: float, horizon: float) -
     starts = np.arange(math.floor(room / horizon) + 1) * horizon if room >= 0 else np.zeros(0)
     ends = np.searchsorted(times, starts[:, None] + [0, lead, lead + horizon] - margin)
     return ends[np.all(np.diff(ends, axis=1) > 0, axis=1)]
+
+
+def _whole_samples(length: float, stretch: Stretch) -> int:
+    """Return the nearest number of samples to a length in s, at least one."""
+    # Half a sample is rounded down in all records alike, however their times are rounded.
+    samples = min(length / stretch.step, len(stretch))
+    return max(1, math.floor(samples + 0.5 - ROUNDING))
 
 
 def sample_data(
@@ -444,20 +475,26 @@ def sample_data(
     measured once.
     """
     record = windows.record
-    # The stretches from which the windows were cut, whatever inputs other models have.
-    of_model = places_of(inputs, windows.inputs)
-    leads, keeps = np.zeros((2, len(windows.inputs)))
-    leads[of_model] = np.maximum(delays, 0.0)
-    keeps[of_model] = held
-    stretches = gapless(record, windows.inputs, windows.outputs, lead=leads, held=keeps)
-    stretches = [replace(stretch, inputs=stretch.inputs[of_model]) for stretch in stretches]
+    # The stretches are those from which the windows were cut: the inputs of all compared models
+    # determine them, not of this model alone.
+    places = places_of(inputs, windows.inputs)
+    leads = np.zeros(len(windows.inputs))
+    leads[places] = np.maximum(delays, 0.0)
+    are_held = np.zeros(len(windows.inputs))
+    are_held[places] = held
+    stretches = gapless(record, windows.inputs, windows.outputs, lead=leads, held=are_held)
+    stretches = [replace(stretch, inputs=stretch.inputs[places]) for stretch in stretches]
     data = SampledData(tuple(stretches)).rows(delays)[:, windows.columns]
     if windows.repeated.any():
+        # The last rows are the k outputs, k marks of measured outputs, and the step to the next
+        # sample.
         k = len(windows.outputs)
-        data[-1 - 2 * k : -1, windows.repeated] = 0.0
-        # From one sample to its repetition no time passes; zero would divide the slope of an input.
-        same = np.diff(windows.columns, axis=1) == 0
-        data[-1, :, :-1][same] = ROUNDING**2 * record.step
+        outputs_and_marks = slice(-1 - 2 * k, -1)
+        data[outputs_and_marks, windows.repeated] = 0.0
+        # No time passes from a sample to its repetition. The step is not exactly zero, since it
+        # divides the slope of an input.
+        is_repetition = np.diff(windows.columns, axis=1) == 0
+        data[-1, :, :-1][is_repetition] = ROUNDING**2 * record.step
     return data
 
 

@@ -27,7 +27,7 @@ from greybox.assessment.simulation.simulator import (
 from greybox.data.files.argument_checks import as_names, require_kind
 from greybox.data.files.arrays import Array, BoolArray, all_finite
 from greybox.data.files.grouping import unique
-from greybox.data.files.named_values import Values, array_of, selected
+from greybox.data.files.named_values import Values, array_of, selected, without
 from greybox.data.files.wording import counted, some
 from greybox.data.record import Record, share_samples
 from greybox.engine.compiled.sampled_data import Stretch, gapless
@@ -119,62 +119,88 @@ def simulate(
     estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
 
-    # Without states and delays, samples are independent of one another.
-    static = not (estimated.system.states or estimated.system.delayed)
     stretches = gapless(
         record, estimated.system.inputs, (), lead=estimated.delays, held=estimated.held
     )
-    # From one sample alone, nothing moves.
-    if max(map(len, stretches), default=0) < (1 if static else 2):
-        what = "sample" if static else "two consecutive samples"
+    # Without states and delays, samples are independent of one another. With them, a single sample
+    # has no motion.
+    is_static = not (estimated.system.states or estimated.system.delayed)
+    fewest_samples = 1 if is_static else 2
+    if max(map(len, stretches), default=0) < fewest_samples:
+        what = "sample" if is_static else "two consecutive samples"
         raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
-    fitted = estimated.part and estimated.part.data
+
+    fitted = estimated.part.data if estimated.part else None
     fitted_initial = initial is None and fitted is not None and fitted.is_same_as(record)
     if fitted_initial:
         stretches = _fitted_stretches(estimated, stretches)
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
-
     # A state with the name of an output is given once, as the sensor shows it.
-    columns = {
-        name: np.full(len(record), np.nan)
-        for name in unique((*outputs, *errors, *estimated.system.states))
-    }
+    names = unique((*outputs, *errors, *estimated.system.states))
+    columns = {name: np.full(len(record), np.nan) for name in names}
     simulator = Simulator(estimated, outputs, integrator)
     unknown: list[str] = []
     for stretch, start in zip(stretches, states, strict=True):
-        signals, of_outputs, without_error = simulator.free_run(stretch, start, fitted_initial)
+        signals, standard_errors, without_error = simulator.free_run(stretch, start, fitted_initial)
+        _require_bounded(signals, stretch, record, estimated.label)
         unknown += without_error
-        bad = diverged(signals)
-        if bad.any():
-            when = np.argmax(bad)
-            name = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
-            raise ValueError(
-                f"the simulation of {estimated.label} diverges at "
-                f"{record.time[stretch.rows[when]]:.6g} s, {name} first: predict an unstable model "
-                f"over windows instead of simulating it, or {DOMAINS}."
-            )
-        for name, row in {**signals, **of_outputs}.items():
+        for name, row in {**signals, **standard_errors}.items():
             columns[name][stretch.own_rows] = row[stretch.own]
     if simulator.doubt:
         warnings.warn(simulator.doubt, stacklevel=2)
 
-    units = {
-        n: record.units[signal]
-        for n in columns
-        if (signal := n.removesuffix(ERROR)) in record.units
-    }
-    remark = f", {_not_known(unique(unknown), estimated)}" if unknown else ""
+    units = {}
+    for name in columns:
+        signal = name.removesuffix(ERROR)
+        if signal in record.units:
+            units[name] = record.units[signal]
+
     # A user who simulates a fit expects the motion of the record, which hardly ever begins at rest.
+    declared = {}
     if estimated.covariance is not None and not fitted_initial:
-        starts = zip(estimated.system.states, states[0], strict=True)
-        begun = [f"{name} = {start:.4g}" for name, start in starts if name not in (initial or {})]
-        remark += f", from {some(begun)}" if begun else ""
-    if not static and len(stretches) > 1:
-        remark += f", begun anew behind {counted(len(stretches) - 1, 'gap')}"
-    name = f"simulation of {estimated.label}{remark}"
-    return Record(record.time, columns, units, name=name, has_time=record.has_time)
+        declared = without(
+            dict(zip(estimated.system.states, states[0], strict=True)), initial or {}
+        )
+    gaps = 0 if is_static else len(stretches) - 1
+    title = _title(estimated, unique(unknown), declared, gaps)
+    return Record(record.time, columns, units, name=title, has_time=record.has_time)
+
+
+def _title(
+    estimated: ModelAtEstimate, unknown: tuple[str, ...], declared: Values, gaps: int
+) -> str:
+    """Return the name of a simulation, with what a reader may not expect of it.
+
+    This is: parameters without a standard error, states that begin where the model declares, and
+    gaps behind which the simulation begins anew.
+    """
+    title = f"simulation of {estimated.label}"
+    if unknown:
+        title += f", {_unknown_errors(unknown, estimated)}"
+    if declared:
+        title += f", from {some([f'{name} = {start:.4g}' for name, start in declared.items()])}"
+    if gaps > 0:
+        title += f", begun anew behind {counted(gaps, 'gap')}"
+    return title
+
+
+def _require_bounded(
+    signals: Mapping[str, Array], stretch: Stretch, record: Record, label: str
+) -> None:
+    """Raise ValueError for a simulation of a stretch that diverges."""
+    has_diverged = diverged(signals)
+    if not has_diverged.any():
+        return
+    when = np.argmax(has_diverged)
+    # The negated comparison is also true for NaN.
+    first = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
+    raise ValueError(
+        f"the simulation of {label} diverges at "
+        f"{record.time[stretch.rows[when]]:.6g} s, {first} first: predict an unstable model "
+        f"over windows instead of simulating it, or {DOMAINS}."
+    )
 
 
 def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
@@ -272,9 +298,16 @@ def predict_windows(
 ) -> tuple[Prediction, BoolArray, str]:
     """Predict the outputs of given windows.
 
-    The values named by `own` are estimated first. By default they are those of the model, if the
-    record is a new one. Also returned are the windows (w,) that are not finite, and the first
-    reason, without a full stop.
+    The values named by `own` are estimated first. By default they are `ModelAtEstimate.own`, if the
+    record is not the one that was fitted.
+
+    Returns
+    -------
+    prediction : Prediction
+    not_finite : (w,) bool array
+        Marks the windows in which the model is not finite.
+    trouble : str
+        How many these are, and where the first is lost, without a full stop; empty if none is.
     """
     model = model.driven_by(windows.record)
     lead, horizon = windows.lengths
@@ -293,22 +326,25 @@ def predict_windows(
 
     # On its own record the fit has estimated these values already.
     if own is None:
-        new = model.part is not None and not share_samples(model.part.data, windows.record)
-        own = model.own if new else ()
+        is_new = model.part is not None and not share_samples(model.part.data, windows.record)
+        own = model.own if is_new else ()
     model, values, notes = with_own_values(model, windows, integrator, as_names(own))
     simulator = Simulator(model, windows.outputs, integrator)
     simulated = simulator.windows(windows, checked=True)
     if simulator.doubt:
         warnings.warn(simulator.doubt, stacklevel=3)
     error, unknown = simulator.standard_errors(simulated)
-    notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
+    if unknown:
+        notes += (f"{_unknown_errors(unknown, model)}.",)
 
-    there = ~(windows.repeated | windows.filled)[:, windows.lead :]
+    is_in_record = ~(windows.repeated | windows.filled)
+    is_predicted = is_in_record[:, windows.lead :]
 
     def ahead(values: Array) -> Array:
+        """Return the values (w, samples, k) behind the lead-ins as (k, w, h), NaN between rows."""
         # Lead-ins were used for the states, and would look too good.
         later = np.moveaxis(values[:, windows.lead :], -1, 0)
-        return later if there.all() else np.where(there, later, np.nan)
+        return later if is_predicted.all() else np.where(is_predicted, later, np.nan)
 
     prediction = Prediction(
         label=model.label,
@@ -318,7 +354,7 @@ def predict_windows(
         states=model.system.states,
         lead=lead,
         horizon=horizon,
-        rows=np.where(there, windows.rows[:, windows.lead :], -1),
+        rows=np.where(is_predicted, windows.rows[:, windows.lead :], -1),
         predicted=ahead(simulated.outputs),
         error=ahead(error),
         noise=simulated.initial.noise,
@@ -328,34 +364,36 @@ def predict_windows(
         own=values,
         elapsed=windows.elapsed,
     )
-    return prediction, simulated.not_finite, _not_finite(simulated, windows, model)
+    return prediction, simulated.not_finite, _trouble(simulated, windows, model)
 
 
-def _not_finite(simulated: WindowSimulations, windows: Windows, model: ModelAtEstimate) -> str:
-    """Return the number of windows that are not finite, and the first such signal with its time."""
+def _trouble(simulated: WindowSimulations, windows: Windows, model: ModelAtEstimate) -> str:
+    """Say how many windows are not finite, and which signal is lost first and when."""
     if not simulated.not_finite.any():
         return ""
 
     # The first signal that is lost points to the formula to mend.
     first = np.argmax(simulated.not_finite)
     names = (*model.system.states, *windows.outputs)
-    lost = ~np.isfinite(np.hstack([simulated.states[first], simulated.outputs[first]]))
-    when = np.argmax(lost.any(axis=1))
-    name = names[np.argmax(lost[when])] if lost.any() else "the sensitivity of its outputs"
+    is_lost = ~np.isfinite(np.hstack([simulated.states[first], simulated.outputs[first]]))
+    when = np.argmax(is_lost.any(axis=1))
+    name = names[np.argmax(is_lost[when])] if is_lost.any() else "the sensitivity of its outputs"
     time = windows.record.time[windows.rows[first, when]]
-    kind, place = (
-        ("window", f"at {time:.6g} s") if windows.lead else ("row", f"in row {time + 1:.0f}")
-    )
+    # The time of rows without one is their number from 0.
+    kind, place = "row", f"in row {time + 1:.0f}"
+    if windows.lead:
+        kind, place = "window", f"at {time:.6g} s"
     count = counted(int(simulated.not_finite.sum()), kind)
     return f"{model.label} is not finite in {count} of {len(windows)}: {name} {place}"
 
 
 def cure(called: str) -> str:
-    """Return the cure for a model that is not finite; the user's horizon is `called` so."""
+    """Return the cure for a model that is not finite; `called` is the argument for the horizon."""
     return f"give a shorter {called} if the model is unstable, or {DOMAINS}"
 
 
-def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
+def _unknown_errors(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
+    """Say which parameters have no standard error, so that some outputs have none."""
     return (
         f"the standard errors of {model.label} are unknown if they depend on {', '.join(unknown)}, "
         "which the data of the fit do not determine"
@@ -378,7 +416,7 @@ def _model_and_record(
 
 def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> list[Stretch]:
     """Return the stretches of the fit's record that the fit has used."""
-    # Others have too few measured values to say anything of the model.
+    # The other stretches have too few measured values for the fit, which did not simulate them.
     simulated = array_of(model.part.simulated, model.part.outputs)
     used = np.flatnonzero(np.isfinite(simulated).any(axis=0))
     return [stretch for stretch in stretches if np.isin(stretch.own_rows, used).any()]
@@ -387,7 +425,7 @@ def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> l
 def _initial_states(
     model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
 ) -> Array:
-    """Return the first states (stretches, n) of every stretch; declared starts if none is given."""
+    """Return the initial states (stretches, n), by default those that the model declares."""
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
         initial = selected(model.part.initial, model.system.states)

@@ -11,6 +11,7 @@ Begin with `compare`.
 | `significance` | the sentences: which of two models is closer to the data |
 | `parsimony` | the smallest structure that the data support |
 | `nesting`, `nested_models` | whether one fit contains another; the test of its further terms |
+| `joint_test` | whether several parameters of one fit are needed together |
 | `held_out` | predictions of the same windows by all fits |
 | `stepwise` | terms chosen from a list of candidates |
 | `differences` | which parameters differ between fits to different data |
@@ -21,6 +22,10 @@ from greybox.assessment.validation.comparison import Comparison as Comparison
 from greybox.assessment.validation.differences import (
     Differences as Differences,
     differences as differences,
+)
+from greybox.assessment.validation.joint_test import (
+    JointTest as JointTest,
+    joint_test as joint_test,
 )
 from greybox.assessment.validation.nested_models import (
     NestedTest as NestedTest,

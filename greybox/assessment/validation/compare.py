@@ -20,6 +20,7 @@ from greybox.assessment.validation.held_out import (
     window_lengths,
 )
 from greybox.assessment.validation.measures import fit_rows, prediction_rows
+from greybox.assessment.validation.nested_models import NestedTest
 from greybox.assessment.validation.parsimony import parsimony
 from greybox.assessment.validation.same_data import (
     check_fits,
@@ -109,8 +110,9 @@ def compare(
         )
     require_lengths(window=window, lead=lead)
     names = tuple(map(str, labels)) or labels_of(fits)
-    of_records = "a Record or a list of them"
-    held_out = [] if records is None else checked_items("records", records, Record, of_records)
+    held_out = []
+    if records is not None:
+        held_out = checked_items("records", records, Record, "a Record or a list of them")
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -126,27 +128,16 @@ def compare(
     statements, tests = verdicts(
         fits, names, predictions, same_data=not different, aic=_known("AIC", rows)
     )
-    statements += [] if not_comparable else residuals_not_white(fits, names)
-    statements += [which_likelihood(names, likelihoods)] if likelihoods else []
+    if not not_comparable:
+        statements += residuals_not_white(fits, names)
+    if likelihoods:
+        statements.append(which_likelihood(names, likelihoods))
     notes = [*not_held_out(fits, names, held_out), *damaged(fits, held_out), *notes]
     if not_comparable and not different:
         what = "Costs, AIC and BIC" if likelihoods is None else "Costs"
         notes.append(f"{what} are not compared: {not_comparable}.")
 
-    bic = _known("BIC", rows)
-    supported = verdict = ""
-    # The likelihood of records assumes white residuals. Real ones are correlated, which inflates
-    # differences of BIC: for records only the tests count, which allow for it.
-    if bic and not any(part.data.has_time for fit in fits for part in fit.records):
-        k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
-        supported = names[k]
-    else:
-        # A single test decides between two fits.
-        if len(fits) == 2 and tests:
-            supported = tests[0].large if tests[0].p_value < SIGNIFICANT else tests[0].small
-        verdict, *statements = statements or ("",)
-    if not any(fit.is_explained for fit in fits):
-        verdict = f"None of these models explains its data. {verdict}".rstrip()
+    supported, verdict, statements = _conclusion(fits, names, rows, statements, tests)
     return Comparison(
         labels=names,
         data=f"{different}: their costs are not compared" if different else shared_data(fits),
@@ -158,6 +149,33 @@ def compare(
     )
 
 
+def _conclusion(
+    fits: Fits,
+    names: Sequence[str],
+    rows: Sequence[Row],
+    statements: list[str],
+    tests: Sequence[NestedTest],
+) -> tuple[str, str, list[str]]:
+    """Return the label of the supported fit, the reason, and the statements besides the reason."""
+    bic = _known("BIC", rows)
+    supported = verdict = ""
+    # The likelihood of records assumes white residuals. Real ones are correlated, which inflates
+    # differences of BIC: for records only the tests count, which allow for it.
+    has_records = any(part.data.has_time for fit in fits for part in fit.records)
+    if bic and not has_records:
+        k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
+        supported = names[k]
+    elif statements:
+        # A single test decides between two fits.
+        if len(fits) == 2 and tests:
+            [test] = tests
+            supported = test.large if test.p_value < SIGNIFICANT else test.small
+        verdict, *statements = statements
+    if not any(fit.is_explained for fit in fits):
+        verdict = f"None of these models explains its data. {verdict}".rstrip()
+    return supported, verdict, statements
+
+
 def _predictions(
     fits: Fits,
     names: Sequence[str],
@@ -166,18 +184,24 @@ def _predictions(
     same_data: bool,
 ) -> tuple[dict[str, Predictions], list[str]]:
     """Return the predictions of all fits by kind of data, and notes on them."""
-    data: dict[str, list[Sequence[Record]]] = {}  # of every fit
+    # The records of every fit, by kind of data.
+    records_by_fit: dict[str, list[Sequence[Record]]] = {}
     if same_data and fits[0].records:
-        data[IDENTIFICATION] = [[part.data for part in fit.records] for fit in fits]
+        records_by_fit[IDENTIFICATION] = [[part.data for part in fit.records] for fit in fits]
     if held_out:
-        data[HELD_OUT] = [held_out] * len(fits)
-    records = [record for of_fits in data.values() for record in of_fits[0]]
-    window_and_lead = window_lengths(fits, records, *lengths)
+        records_by_fit[HELD_OUT] = [held_out] * len(fits)
+    # All fits have the same samples, so those of the first determine the lengths.
+    records: list[Record] = []
+    for by_fit in records_by_fit.values():
+        records += by_fit[0]
+    window, lead = lengths
+    window_and_lead = window_lengths(fits, records, window, lead)
+
     predictions: dict[str, Predictions] = {}
     notes: list[str] = []
-    for kind, of_fits in data.items():
+    for kind, by_fit in records_by_fit.items():
         predictions[kind], texts = predict_same_windows(
-            fits, names, of_fits, window_and_lead, fitted=kind == IDENTIFICATION
+            fits, names, by_fit, window_and_lead, fitted=kind == IDENTIFICATION
         )
         notes += texts
     return predictions, notes
@@ -185,5 +209,6 @@ def _predictions(
 
 def _known(measure: str, rows: Sequence[Row]) -> list[float]:
     """Return a measure of all fits; empty if a fit lacks it."""
-    values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
-    return [] if None in values else [value for value in values if value is not None]
+    [row] = [row for row in rows if row.data == "fit" and row.measure == measure]
+    known = [value for value in row.values if value is not None]
+    return known if len(known) == len(row.values) else []

@@ -45,13 +45,20 @@ class Row:
     values: tuple[float | None, ...]
 
     @property
+    def is_known(self) -> bool:
+        """Whether any fit has a value."""
+        return any(value is not None for value in self.values)
+
+    @property
     def texts(self) -> list[str]:
         """The values as a person reads them."""
-        is_probability = self.measure.endswith("(p)")
-        return [
-            probability(value) if is_probability and value is not None else number(value)
-            for value in self.values
-        ]
+        texts = []
+        for value in self.values:
+            if self.measure.endswith("(p)") and value is not None:
+                texts.append(probability(value))
+            else:
+                texts.append(number(value))
+        return texts
 
 
 @frozen
@@ -113,32 +120,39 @@ class Comparison(Printed):
         return one_line(self, f"of {', '.join(self.labels)}", counted(len(self.rows), "row"))
 
     def __str__(self) -> str:
-        lines = [f"data  {self.data}", "", *filter(None, (self.verdict, *self.statements)), ""]
-        titles = dict.fromkeys(row.data for row in self.rows) | {"fit": ""}
-        titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
-        for data, title in titles.items():
+        sentences = [text for text in (self.verdict, *self.statements) if text]
+        lines = [f"data  {self.data}", "", *sentences, ""]
+        for data in unique(row.data for row in self.rows):
+            if data in self.predictions:
+                lines += [f"{data} data: {self._windows(data)}", ""]
             rows = [row for row in self.rows if row.data == data]
-            lines += [title, ""] if rows and title else []
-            for of_output in grouped(rows, lambda row: row.output):
-                lines += [self._table(of_output), ""]
+            for rows_of_output in grouped(rows, lambda row: row.output):
+                lines += [self._table(rows_of_output), ""]
         return titled(f"Comparison of {', '.join(self.labels)}", lines).rstrip()
 
     def _windows(self, data: str) -> str:
         """Return number and length of the windows."""
-        # Records with different rates have windows of slightly different length: whole samples.
+        # All fits predict the same windows.
         predictions = self.predictions[data][0]
         rows = [p for p in predictions if not p.data.has_time]
         in_time = [p for p in predictions if p.data.has_time]
-        texts = [f"{counted(sum(map(len, rows)), 'row')}, each by itself"] if rows else []
+        texts = []
+        if rows:
+            texts.append(f"{counted(sum(map(len, rows)), 'row')}, each by itself")
         if in_time:
-            window, lead = (
-                " to ".join(unique((seconds(min(lengths)), seconds(max(lengths)))))
-                for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
-            )
+            window = _range_text([p.horizon for p in in_time])
+            lead = _range_text([p.lead for p in in_time])
             count = counted(sum(map(len, in_time)), "window")
             texts.append(f"{count} of {window} s, each from {lead} s before it")
         return " and ".join(texts)
 
     def _table(self, rows: Sequence[Row]) -> str:
-        cells = [[r.measure, r.unit, *r.texts] for r in rows]
+        """Return the table of one output, with a column for each fit."""
+        cells = [[row.measure, row.unit, *row.texts] for row in rows]
         return text_table([rows[0].output, "", *self.labels], cells, left=(0, 1))
+
+
+def _range_text(lengths: Sequence[float]) -> str:
+    """Return the range of lengths in s; one number if they print alike."""
+    # Records with different rates have windows of slightly different length: whole samples.
+    return " to ".join(unique((seconds(min(lengths)), seconds(max(lengths)))))

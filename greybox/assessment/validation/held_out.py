@@ -10,7 +10,7 @@ from greybox.assessment.result import Fit, Fits
 from greybox.assessment.simulation.model_at_estimate import ModelAtEstimate
 from greybox.assessment.simulation.prediction import Prediction, cut, default_length
 from greybox.assessment.simulation.simulate import cure, predict_windows
-from greybox.data.files.arrays import BoolArray
+from greybox.data.files.arrays import Array, BoolArray
 from greybox.data.files.grouping import unique
 from greybox.data.files.wording import counted
 from greybox.data.record import Record, share_samples
@@ -28,8 +28,8 @@ def window_lengths(
     if not records:
         return math.nan, math.nan
 
-    # In one second, twenty time constants of a rotor, the dynamics show, and the prediction of an
-    # unstable plant does not diverge yet. Half a second is enough to estimate the state.
+    # One second is twenty time constants of a rotor: long enough for the dynamics, and short enough
+    # for the prediction of an unstable plant. Half a second is enough to estimate the state.
     if window is None:
         window = default_length(records, 1.0)
     if lead is None:
@@ -67,21 +67,27 @@ def predict_same_windows(
         predictions, record_notes = where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += record_notes
-        for label, prediction in zip(labels, predictions, strict=True):
-            texts = () if fitted else prediction.notes
-            # A note on standard errors is about the record, and the same for all fits.
-            common = "the standard errors"
-            notes += [text if text.startswith(common) else f"{label}: {text}" for text in texts]
+        if not fitted:
+            notes += _notes_with_labels(predictions, labels)
     return tuple(zip(*by_record, strict=True)), notes
+
+
+def _notes_with_labels(predictions: Sequence[Prediction], labels: Sequence[str]) -> list[str]:
+    """Return the notes of the predictions by all fits, each with the label of its fit."""
+    notes = []
+    for label, prediction in zip(labels, predictions, strict=True):
+        for text in prediction.notes:
+            # A note on standard errors names its model itself.
+            has_label = text.startswith("the standard errors")
+            notes.append(text if has_label else f"{label}: {text}")
+    return notes
 
 
 def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
     """Return the outputs of all models that the record has; ValueError if there are none."""
-    shared = [
-        name
-        for name in models[0].system.outputs
-        if all(name in model.system.outputs for model in models)
-    ]
+    shared = models[0].system.outputs
+    for model in models[1:]:
+        shared = [name for name in shared if name in model.system.outputs]
     outputs = tuple(name for name in shared if name in record.signals)
     if not outputs:
         raise ValueError(
@@ -96,25 +102,25 @@ def where_all_are_finite(
 ) -> tuple[list[Prediction], list[str]]:
     """Return the predictions in the windows in which all are finite, and a note on the others.
 
-    Each result is a prediction, the windows in which it diverged (w,), and the reason.
+    Each result is what `predict_windows` returns: a prediction, a mark of the windows (w,) that are
+    not finite, and the reason.
     """
-    # Left out for all models: otherwise the one that diverges would be judged by easier windows.
-    predictions, lost, texts = zip(*results, strict=True)
-    diverged = np.any(lost, axis=0)
-    if not diverged.any():
+    # Such windows are left out for all models: otherwise the one that diverges would be judged by
+    # easier windows.
+    predictions, not_finite, texts = zip(*results, strict=True)
+    is_lost = np.any(not_finite, axis=0)
+    if not is_lost.any():
         return list(predictions), []
 
-    reasons = [
-        reason if reason.startswith(label) else f"{label}: {reason}"
-        for label, reason in zip(labels, texts, strict=True)
-        if reason
-    ]
+    reasons = []
+    for label, reason in zip(labels, texts, strict=True):
+        if reason:
+            reasons.append(reason if reason.startswith(label) else f"{label}: {reason}")
     first = predictions[0]
-    count = int(diverged.sum())
-    windows = (
-        f"{counted(count, first.window)} of {diverged.size} in {first.data.name or 'the record'}"
-    )
-    if 2 * count >= diverged.size:
+    count = int(is_lost.sum())
+    title = first.data.name or "the record"
+    windows = f"{counted(count, first.window)} of {is_lost.size} in {title}"
+    if 2 * count >= is_lost.size:
         raise ValueError(
             f"no comparison is possible where {windows} {'is' if count == 1 else 'are'} not finite "
             f"({reasons[0]}): {cure('window')}."
@@ -123,7 +129,7 @@ def where_all_are_finite(
         f"warning: {windows} left out for all models, since the prediction of one is not finite "
         f"({reasons[0]})."
     )
-    return [prediction.kept(~diverged) for prediction in predictions], [note]
+    return [prediction.kept(~is_lost) for prediction in predictions], [note]
 
 
 def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
@@ -133,11 +139,16 @@ def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
 
 def with_all_signals(records: Sequence[Record]) -> Record:
     """Return one record with the signals of all: each fit stores only those that it used."""
-    first = records[0]
-    signals = {name: r[name] for r in records[::-1] for name in r.signals}
-    units = {name: r.units.get(name, "") for r in records for name in r.signals}
-    hold = {name: seconds for r in records for name, seconds in r.hold.items()}
-    return replace(first, signals=signals, units=units, hold=hold)
+    signals: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    hold: dict[str, float] = {}
+    # The values of a signal are those of the first record that has it.
+    for record in reversed(records):
+        signals |= record.signals
+    for record in records:
+        units |= {name: record.units.get(name, "") for name in record.signals}
+        hold |= record.hold
+    return replace(records[0], signals=signals, units=units, hold=hold)
 
 
 def damaged(fits: Fits, records: Sequence[Record]) -> list[str]:
@@ -158,10 +169,12 @@ def damaged(fits: Fits, records: Sequence[Record]) -> list[str]:
 
 def not_held_out(fits: Fits, labels: Sequence[str], records: Sequence[Record]) -> list[str]:
     """Return a warning for every held-out record to which a fit was made after all."""
-    return [
-        f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "
-        "it."
-        for record in records
-        for fit, label in zip(fits, labels, strict=True)
-        if any(share_samples(part.data, record) for part in fit.records)
-    ]
+    warnings = []
+    for record in records:
+        for fit, label in zip(fits, labels, strict=True):
+            if any(share_samples(part.data, record) for part in fit.records):
+                warnings.append(
+                    f"warning: {record.name or 'a record'} is not held out: {label} was fitted to "
+                    "samples of it."
+                )
+    return warnings

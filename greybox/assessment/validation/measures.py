@@ -1,6 +1,7 @@
 """The rows of a comparison's table: information criteria, and measures of predictions.
 
-One likelihood for fits of frequency responses by different criteria, for AIC and BIC.
+Fits of frequency responses may have different criteria. AIC and BIC then belong to one likelihood,
+which is maximized from every estimate.
 """
 
 import math
@@ -40,9 +41,9 @@ class Likelihoods:
     criterion : Criterion
         The likelihood.
     originals : tuple of Fit
-        By any criterion.
+        The fits, by any criterion.
     least : tuple of float or None
-        Its minima next to the estimates; None where that is not known.
+        Negative log-likelihood at the minimum next to each estimate; None where it is not known.
     """
 
     criterion: Criterion
@@ -129,16 +130,15 @@ def fit_rows(
         is_known = comparable and all(map(is_likelihood, fits))
         unknowns = [count_unknowns(fit) for fit in fits]
         rows += information_rows(costs if is_known else unknown, unknowns, numbers)
-    if same_data:
-        for name in () if comparable else names:
+    if same_data and not comparable:
+        for name in names:
             rows.append(_row(f"cost: {name}", [f.costs.get(name, math.nan) for f in fits]))
-        if all(fit.responses for fit in fits):
-            sizes = [100 * relative_rms(fit) for fit in fits]
-            rows.append(_row("relative residual (rms)", sizes, "%"))
+    if same_data and all(fit.responses for fit in fits):
+        sizes = [100 * relative_rms(fit) for fit in fits]
+        rows.append(_row("relative residual (rms)", sizes, "%"))
     # A reader looks for costs, AIC and BIC: dashes show that they are not known.
-    always = ("cost", "AIC", "BIC")
-    rows = [r for r in rows if r.measure in always or any(v is not None for v in r.values)]
-    return rows, likelihoods
+    always_shown = ("cost", "AIC", "BIC")
+    return [row for row in rows if row.measure in always_shown or row.is_known], likelihoods
 
 
 def information_rows(
@@ -148,16 +148,16 @@ def information_rows(
 
     Source: Burnham and Anderson (2002), section 2.4.
     """
-    # AIC = 2 k - 2 ln L and BIC = k ln n - 2 ln L. AICc adds 2 k (k + 1) / (n - k - 1), which makes
-    # 2 k n / (n - k - 1) of the first term; it does not exist for n <= k + 1.
-    sizes = list(zip(unknowns, numbers, strict=True))
-    penalties = {
-        "AIC": [2.0 * k for k, _ in sizes],
-        "AICc": [2.0 * k * n / (n - k - 1) if n > k + 1 else math.nan for k, n in sizes],
-        "BIC": [k * math.log(n) for k, n in sizes],
-    }
-    for name, penalty in penalties.items():
-        values = [term + 2 * cost for term, cost in zip(penalty, costs, strict=True)]
+    criteria: dict[str, list[float]] = {"AIC": [], "AICc": [], "BIC": []}
+    for k, n, cost in zip(unknowns, numbers, costs, strict=True):
+        # AIC = 2 k - 2 ln L and BIC = k ln n - 2 ln L. AICc adds 2 k (k + 1) / (n - k - 1), which
+        # makes 2 k n / (n - k - 1) of the first term; it does not exist for n <= k + 1.
+        corrected = 2.0 * k * n / (n - k - 1) if n > k + 1 else math.nan
+        criteria["AIC"].append(2.0 * k + 2 * cost)
+        criteria["AICc"].append(corrected + 2 * cost)
+        criteria["BIC"].append(k * math.log(n) + 2 * cost)
+
+    for name, values in criteria.items():
         least = np.nanmin([*values, math.inf])
         yield _row(name, values)
         yield _row(f"{name} less the least", [value - least for value in values])
@@ -169,6 +169,7 @@ def relative_rms(fit: Fit) -> float:
 
 
 def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:
+    """Return a row on the fits as a whole."""
     return Row("fit", "", measure, unit, tuple(map(finite, values)))
 
 
@@ -180,9 +181,11 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> Iterator
         yield Row(kind, "", text, "", tuple(map(finite, estimated)))
     for output in unique(name for p in predictions[0] for name in p.outputs):
         pairs = zip(predictions, fits, strict=True)
-        measures = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
-        for key in measures[0]:
-            yield Row(kind, output, *key, tuple(finite(values[key]) for values in measures))
+        measures_of_fits = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
+        # All fits have the same measures.
+        for measure, unit in measures_of_fits[0]:
+            values = [measures[measure, unit] for measures in measures_of_fits]
+            yield Row(kind, output, measure, unit, tuple(map(finite, values)))
 
 
 def _measures(
@@ -193,7 +196,9 @@ def _measures(
     measured = np.concatenate([p.measured(output).ravel() for p in with_output])
     predicted = np.concatenate([p.predicted[p.outputs.index(output)].ravel() for p in with_output])
     # Errors further ahead are correlated even for the true model; those one step ahead are white.
-    errors = [piece for p in with_output for piece in _in_time_order(p, output)]
+    errors: list[Array] = []
+    for p in with_output:
+        errors += _in_time_order(p, output)
     size = rms(np.concatenate(errors))
     measures = {
         ("fit", "%"): fit_percent(measured, predicted),
@@ -213,6 +218,6 @@ def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
     """Return the errors one step ahead along the record, NaN between windows, cut at its gaps."""
     along = np.full(len(prediction.data), np.nan)
     errors = prediction.one_step[prediction.outputs.index(output)]
-    there = prediction.rows >= 0
-    along[prediction.rows[there]] = errors[there]
+    is_sample = prediction.rows >= 0
+    along[prediction.rows[is_sample]] = errors[is_sample]
     return [along[rows] for rows in prediction.data.independent_pieces]

@@ -20,7 +20,7 @@ from greybox.assessment.validation.same_data import (
 )
 from greybox.data.files.argument_checks import require_kind
 from greybox.data.files.arrays import all_finite
-from greybox.data.files.named_values import Values
+from greybox.data.files.named_values import Values, places_of
 from greybox.data.files.numbers_in_text import number, p_text
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import listed
@@ -40,10 +40,10 @@ class NestedTest(Printed):
     likelihood_ratio : float
         Twice the difference of the costs.
     scale : float
-        By what the ratio is divided: how much the correlation of the residuals inflates it, or the
-        size of the errors on the scale of the criterion.
+        Divisor of the ratio: the factor by which correlated residuals inflate it, or the size of
+        the errors on the scale of the criterion.
     statistic : float
-        Compared with the F distribution.
+        The number that is compared with the F distribution.
     dof : (float, float)
         Degrees of freedom of that distribution; the second is `Fit.dof` of the larger fit.
     p_value : float
@@ -99,9 +99,9 @@ def nested_test(small: Fit, large: Fit, *, at: Values | None = None) -> NestedTe
     small, large : Fit
         Fits of the same data.
     at : mapping of name to float, optional
-        ``{"n": 1.0}``: where `large` is `small`, as you state it: values of parameters that the
-        model of `small` lacks; zero for those that are not named. They only decide whether a value
-        is on a bound.
+        Values at which the model of `large` is that of `small`, such as ``{"n": 1.0}``, for
+        parameters that the model of `small` lacks; zero for those that are not named. They only
+        decide whether a value is on a bound.
 
     Raises
     ------
@@ -117,8 +117,8 @@ def nested_test(small: Fit, large: Fit, *, at: Values | None = None) -> NestedTe
     fits = small, large
     check_fits(fits)
     require_kind("at", at, Mapping | None, "{name: value}")
-    first, second = labels_of(fits)
-    labels = first, second
+    small_label, large_label = labels_of(fits)
+    labels = small_label, large_label
     different = data_difference(fits, labels) or other_samples(fits, labels)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
@@ -127,7 +127,7 @@ def nested_test(small: Fit, large: Fit, *, at: Values | None = None) -> NestedTe
         values = nested_values(small, large, labels, at or {})
     except NotNestedError as reason:
         raise ValueError(
-            f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use "
+            f"{small_label} is not shown to be {large_label} with terms removed: {reason}. Use "
             "gb.compare, which needs no nesting."
         ) from None
     return nested_test_at(values, small, large, labels)
@@ -151,55 +151,69 @@ def nested_test_at(
     ValueError
         If the data do not determine the terms, there is no likelihood ratio, or `large` costs more.
     """
-    on_bound = {
-        name
-        for name, value in values.items()
-        if any(math.isclose(value, bound, rel_tol=1e-9) for bound in large.by_name[name].bounds)
-    }
+    small_label, large_label = labels
+    on_bound = set()
+    for name, value in values.items():
+        bounds = large.by_name[name].bounds
+        if any(math.isclose(value, bound, rel_tol=1e-9) for bound in bounds):
+            on_bound.add(name)
     # A term that ended at another bound may explain more beyond it: the ratio would be too small.
-    stuck = {name for name in values if large.by_name[name].at_bound}
-    if not stuck <= on_bound:
+    ended_at_bound = {name for name in values if large.by_name[name].at_bound}
+    if not ended_at_bound <= on_bound:
         raise ValueError(
-            f"{listed(sorted(stuck))} of {labels[1]} ended at a bound: widen it before testing."
+            f"{listed(sorted(ended_at_bound))} of {large_label} ended at a bound: widen it before "
+            "testing."
         )
     # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
-    rows = [k for k, name in enumerate(large.free) if name in values and name not in stuck]
-    covariance = large.covariance_of(large.free)[np.ix_(rows, rows)]
+    terms = [name for name in large.free if name in values and name not in ended_at_bound]
+    rows = places_of(terms, large.free)
+    covariance = large.covariance_of(terms)
     dof = large.dof
     if independent and large.independent is not None:
-        alone, dof = large.independent
-        covariance = np.where(np.isnan(covariance), np.nan, alone[np.ix_(rows, rows)])
+        independent_covariance, dof = large.independent
+        of_terms = independent_covariance[np.ix_(rows, rows)]
+        covariance = np.where(np.isnan(covariance), np.nan, of_terms)
     if not (dof > 0 and all_finite(covariance) and np.all(np.linalg.eigvalsh(covariance) > 0)):
         raise ValueError(
-            f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be "
+            f"the data do not determine {listed(list(values))} of {large_label}: nothing can be "
             "tested."
         )
-    responses_alone = len(large.responses) == len(large.parts)
-    if large.white is None or not (responses_alone or all(map(is_likelihood, (small, large)))):
-        raise ValueError(f"the costs of {labels[0]} and {labels[1]} have no likelihood ratio.")
+    are_responses = len(large.responses) == len(large.parts)
+    are_likelihoods = is_likelihood(small) and is_likelihood(large)
+    if large.white is None or not (are_responses or are_likelihoods):
+        raise ValueError(f"the costs of {small_label} and {large_label} have no likelihood ratio.")
 
     removed = count_unknowns(large) - count_unknowns(small)
     ratio = _likelihood_ratio(small, large, labels)
-    # If all terms ended there, the models are the same, and the ratio is rounding. Its sign must
-    # not decide: at zero, the probability jumps from one to a half.
-    gained = max(ratio, 0.0) if rows else 0.0
+    # If all terms ended at the bound where the smaller model has them, the models are the same, and
+    # the ratio is rounding. Its sign must not decide: at zero, the probability jumps from one to a
+    # half.
+    gain = max(ratio, 0.0) if terms else 0.0
     scale = 1.0
     if all(_estimates_variance(part) for part in large.parts):
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
         numbers = sum(part.compared_numbers for part in large.parts)
-        statistic = math.expm1(gained / numbers) * dof / removed
+        statistic = math.expm1(gain / numbers) * dof / removed
     else:
-        if rows:
+        if terms:
             white = large.white[np.ix_(rows, rows)]
-            scale = float(np.trace(np.linalg.solve(white, covariance))) / len(rows)
+            scale = float(np.trace(np.linalg.solve(white, covariance))) / len(terms)
         if independent and not large.is_explained:
             # Where a misfit counts as noise, the noise of the responses that lack another term is
             # so large that no term of theirs would be found: errors count as equal.
             scale = 1.0 if is_likelihood(large) or math.isinf(dof) else 2 * large.cost / dof
-        statistic = gained / (scale * removed)
-    p_value = f_tail(statistic, removed, dof, on_bound=bool(on_bound))
-    return NestedTest(*labels, tuple(values), ratio, scale, statistic, (removed, dof), p_value)
+        statistic = gain / (scale * removed)
+    return NestedTest(
+        small=small_label,
+        large=large_label,
+        terms=tuple(values),
+        likelihood_ratio=ratio,
+        scale=scale,
+        statistic=statistic,
+        dof=(removed, dof),
+        p_value=f_tail(statistic, removed, dof, on_bound=bool(on_bound)),
+    )
 
 
 def cost_scale(fit: Fit) -> float:
@@ -213,10 +227,12 @@ def cost_scale(fit: Fit) -> float:
         return math.nan
     directions = fit.directions.of(range(len(fit.free)))
     size = np.outer(directions.size, directions.size)
-    # 1e-14, rounding twice: below it the data do not see a direction.
+    # The covariance is zero, but for rounding, in directions that the data do not determine.
     inverse = np.linalg.pinv(fit.white / size, rcond=1e-14, hermitian=True)
     rank = int(np.linalg.matrix_rank(inverse, tol=0.0))
-    covariance = directions.covariance if fit.independent is None else fit.independent[0]
+    covariance = directions.covariance
+    if fit.independent is not None:
+        covariance, _ = fit.independent
     return float(np.trace(inverse @ (covariance / size))) / max(rank, 1)
 
 
@@ -242,9 +258,10 @@ def _estimates_variance(part: FittedPart) -> bool:
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
+    """Return twice the difference of the costs; raise ValueError if the larger model costs more."""
     ratio = 2 * (small.cost - large.cost)
-    # 0.02, while 3.84 is significant: the two fits may have been integrated with different steps.
-    # 1e-9: the tolerance of the solvers relative to a large cost.
+    # The two fits may have been integrated with different steps, which may change the ratio by
+    # 0.02, while 3.84 is significant. The tolerance of the solvers is 1e-9 of a large cost.
     if ratio < -max(0.02, 1e-9 * abs(large.cost)):
         # The filter of little process noise may settle more slowly than a short record lasts: the
         # fit then ends above zero.

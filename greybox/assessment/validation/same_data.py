@@ -22,7 +22,7 @@ def labels_of(fits: Fits) -> tuple[str, ...]:
     """Return the names of the models, with problems or numbers where they are alike."""
     # Names of models are the most useful. Only if these are equal, names of problems or numbers are
     # needed.
-    models = [", ".join(unique(part.label for part in fit.parts)) for fit in fits]
+    models = [", ".join(fit.labels) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
         if len(set(labels)) == len(labels):

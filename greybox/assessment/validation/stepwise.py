@@ -70,6 +70,22 @@ class Trial:
     done: bool = False
     why_not: str = ""
 
+    @property
+    def row(self) -> list[str]:
+        """The row of the printed table: step, change, term, cost, p-value, limit, outcome."""
+        outcome = ""
+        if self.done:
+            outcome = "added" if self.change == "add" else "removed"
+        return [
+            str(self.step),
+            self.change,
+            self.term,
+            number(self.cost, 6),
+            self.why_not or number(self.p_value, 2),
+            f"{self.limit:.2g}",
+            outcome,
+        ]
+
 
 @frozen
 class StepwiseSelection(Printed):
@@ -115,18 +131,7 @@ class StepwiseSelection(Printed):
         return text
 
     def __str__(self) -> str:
-        rows = [
-            [
-                str(trial.step),
-                trial.change,
-                trial.term,
-                number(trial.cost, 6),
-                trial.why_not or number(trial.p_value, 2),
-                f"{trial.limit:.2g}",
-                {"add": "added", "remove": "removed"}[trial.change] if trial.done else "",
-            ]
-            for trial in self.trials
-        ]
+        rows = [trial.row for trial in self.trials]
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
         text = f"{self.fit.name}: stepwise selection at {100 * SIGNIFICANT:g} % (Bonferroni)"
         text += f"\n\n{self.verdict}\n\n{table}\n"
@@ -173,9 +178,9 @@ def stepwise(
     if not absent:
         raise ValueError("there are no candidates: name at least one parameter.")
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
-    fits = _Fits(problem, absent, starts, {})
+    fits = _Fits(problem, absent, starts)
     current: Terms = frozenset()
-    without = fits.fitted(current, None)
+    without = fits.fit_of(current, None)
     if not without.converged:
         raise ValueError(
             f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}: give "
@@ -183,40 +188,29 @@ def stepwise(
         )
 
     trials: list[Trial] = []
-    seen = {current}  # no structure is chosen twice: the search must end
+    visited = {current}  # no structure is chosen twice: the search must end
     step = 0
     while len(current) < len(absent):
         step += 1
-        # Bonferroni: the smallest of many p-values is small by chance.
-        limit = SIGNIFICANT / (len(absent) - len(current))
-        tried = [
-            fits.trial(step, n, current, limit)
-            for n in bar(absent, desc="trying terms")
-            if n not in current
-        ]
-        better = [t for t in tried if t.p_value < t.limit]
-        _, cost = min(((t.p_value, t.cost) for t in better), default=(1.0, 0.0))
-        # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
-        # test sees. Of equal costs, the first in the list counts.
-        best = next((t for t in better if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
-        trials += [replace(t, done=t is best) for t in tried]
-        if best is None or current | {best.term} in seen:
+        tried, added = _trials_of_additions(fits, step, current)
+        trials += tried
+        if added is None or current | {added} in visited:
             break
-        current = current | {best.term}
-        seen.add(current)
+        current = current | {added}
+        visited.add(current)
+
         while len(current) > 1:
-            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in selected(absent, current)]
-            idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
-            worst = max(idle, key=lambda t: t.p_value, default=None)
-            trials += [replace(t, done=t is worst) for t in tried]
-            if worst is None:
+            tried, removed = _trials_of_removals(fits, step, current, visited)
+            trials += tried
+            if removed is None:
                 break
-            current = current - {worst.term}
-            seen.add(current)
+            current = current - {removed}
+            visited.add(current)
+
     return StepwiseSelection(
         candidates=tuple(absent),
         terms=tuple(selected(absent, current)),
-        fit=fits.made(current, fits.cache[current], profiles=True),
+        fit=fits.new_fit(current, fits.cache[current], profiles=True),
         without=without,
         trials=tuple(trials),
         alike=fits.alike(current),
@@ -224,44 +218,98 @@ def stepwise(
     )
 
 
+def _trials_of_additions(
+    fits: "_Fits", step: int, current: Terms
+) -> tuple[list[Trial], str | None]:
+    """Try to add every absent term; also return the term to add, None if none is significant."""
+    # Bonferroni: the smallest of many p-values is small by chance.
+    limit = SIGNIFICANT / (len(fits.absent) - len(current))
+    trials = []
+    for name in bar(fits.absent, desc="trying terms"):
+        if name not in current:
+            trials.append(fits.trial(step, name, current, limit))
+    significant = [trial for trial in trials if trial.p_value < trial.limit]
+    if not significant:
+        return trials, None
+
+    lowest = min(significant, key=lambda trial: (trial.p_value, trial.cost))
+    # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
+    # test sees. Of equal costs, the first in the list counts.
+    equal = [t for t in significant if math.isclose(t.cost, lowest.cost, rel_tol=1e-6)]
+    best = equal[0]
+    return [replace(trial, done=trial is best) for trial in trials], best.term
+
+
+def _trials_of_removals(
+    fits: "_Fits", step: int, current: Terms, visited: set[Terms]
+) -> tuple[list[Trial], str | None]:
+    """Try to remove every chosen term; also return the term to remove, None if all are needed."""
+    chosen = selected(fits.absent, current)
+    trials = [fits.trial(step, name, current, SIGNIFICANT) for name in chosen]
+    unneeded = []
+    for trial in trials:
+        if trial.p_value > trial.limit and current - {trial.term} not in visited:
+            unneeded.append(trial)
+    if not unneeded:
+        return trials, None
+
+    least = max(unneeded, key=lambda trial: trial.p_value)
+    return [replace(trial, done=trial is least) for trial in trials], least.term
+
+
 def _with_causes(problem: AnyProblem, misfit: Misfit) -> tuple[AnyProblem, list[str]]:
     """Return the problem with the terms of a misfit, and the names of their factors."""
-    terms = {
-        re.sub(r"\W+", "_", cause.text.replace("the equation of ", "")): (*cause.added, cause.value)
-        for cause in misfit.causes
-        if cause.added and cause.p_value < SIGNIFICANT
-    }
+    terms = {}
+    states = set()
+    for cause in misfit.causes:
+        if cause.added and cause.p_value < SIGNIFICANT:
+            state, formula = cause.added
+            states.add(state)
+            # The name of a parameter has letters, digits and underscores only.
+            name = re.sub(r"\W+", "_", cause.text.replace("the equation of ", ""))
+            terms[name] = (state, formula, cause.value)
     if not terms:
         raise ValueError(
             "no significant cause of this misfit can be added to the equation of a state: change "
             "the model as the misfit says; for a fit that was loaded, give gb.misfit(fit)."
         )
-    parts = [
-        part.with_(model=AddedTerms(part.model, terms))  # type: ignore[arg-type]
-        if {*part.model.state_names} >= {state for state, *_ in terms.values()}
-        else part
-        for part in problem.parts
-    ]
+    parts = []
+    for part in problem.parts:
+        if states <= {*part.model.state_names}:
+            part = part.with_(model=AddedTerms(part.model, terms))  # type: ignore[arg-type]  # noqa: PLW2901
+        parts.append(part)
     return problem.with_parts(parts), [*terms]
 
 
-@frozen
 class _Fits:
-    """Fits of a problem with some of its terms, each made once."""
+    """Fits of a problem with some of its terms. Each structure is fitted once.
 
-    problem: AnyProblem
-    absent: Values
-    starts: int
-    cache: dict[Terms, Fit]
+    Attributes
+    ----------
+    problem : Problem or Sum
+        With all candidates.
+    absent : mapping of str to float
+        Value of each candidate where its term is absent.
+    starts : int
+        Sobol points from which every structure is fitted.
+    cache : mapping of set of str to Fit
+        The fits so far, by their terms.
+    """
 
-    def fitted(self, terms: Terms, near: Fit | None) -> Fit:
-        """Return the fit with these terms, also started from a fit nearby."""
+    def __init__(self, problem: AnyProblem, absent: Values, starts: int) -> None:
+        self.problem = problem
+        self.absent = absent
+        self.starts = starts
+        self.cache: dict[Terms, Fit] = {}
+
+    def fit_of(self, terms: Terms, near: Fit | None) -> Fit:
+        """Return the fit with these terms; a new one also starts from a fit nearby."""
         if terms not in self.cache:
             # No test needs profiles, which take a third of the time.
-            self.cache[terms] = self.made(terms, near, profiles=False)
+            self.cache[terms] = self.new_fit(terms, near, profiles=False)
         return self.cache[terms]
 
-    def made(self, terms: Terms, near: Fit | None, *, profiles: bool) -> Fit:
+    def new_fit(self, terms: Terms, near: Fit | None, *, profiles: bool) -> Fit:
         """Fit the problem with these terms from Sobol points and the estimate of a fit nearby."""
         problem = with_terms(self.problem, terms, self.absent)
         free = {name for name, p in problem.parameters.items() if not p.fixed}
@@ -271,39 +319,47 @@ class _Fits:
     def trial(self, step: int, term: str, terms: Terms, limit: float) -> Trial:
         """Test a term that is added to these terms, or removed from them."""
         fit = self.cache[terms]
-        changed = self.fitted(terms ^ {term}, fit)
-        p_value = math.nan
-        why_not = "no fit converged"
-        change, *pair = ("remove", changed, fit) if term in terms else ("add", fit, changed)
+        changed = self.fit_of(terms ^ {term}, fit)
+        if term in terms:
+            change, small, large = "remove", changed, fit
+        else:
+            change, small, large = "add", fit, changed
+
+        test, why_not = None, "no fit converged"
         if changed.converged:
-            test = self._tested(term, *pair)
-            p_value, why_not = (math.nan, test) if isinstance(test, str) else (test.p_value, "")
+            test, why_not = self._test(term, small, large)
+        p_value = math.nan if test is None else test.p_value
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
 
-    def _tested(self, term: str, small: Fit, large: Fit) -> NestedTest | str:
-        """Return the test of a term, or why there is none."""
+    def _test(self, term: str, small: Fit, large: Fit) -> tuple[NestedTest | None, str]:
+        """Return the test of a term, or None and the reason why there is no test."""
         # A missing term leaves residuals that look like errors correlated along frequency. If such
         # errors were allowed, no test would find the term: here errors count as independent.
         removed = {term: self.absent[term]}
         try:
-            return nested_test_at(removed, small, large, ("without", "with"), independent=True)
+            test = nested_test_at(removed, small, large, ("without", "with"), independent=True)
         except ValueError:
             quantity = large.by_name[term]
             if quantity.at_bound:
-                return "at its bound"
-            return "no test" if math.isfinite(quantity.standard_error) else "not determined"
+                return None, "at its bound"
+            is_determined = math.isfinite(quantity.standard_error)
+            return None, "no test" if is_determined else "not determined"
+        return test, ""
 
     def doubtful(self, terms: Terms) -> Values:
         """Return the p-values of terms that only a test for independent errors finds."""
         fit = self.cache[terms]
         p_values = {}
         for term in selected(self.absent, terms):
-            small = self.fitted(terms - {term}, fit)
-            test = self._tested(term, small, fit)
-            # The term may have taken up the correlated errors: those of the fit without it count.
-            if isinstance(test, NestedTest):
-                p_values[term] = f_tail(test.statistic / small.inflation, 1, small.dof)
-        return {term: p for term, p in p_values.items() if p > SIGNIFICANT}
+            small = self.fit_of(terms - {term}, fit)
+            test, _ = self._test(term, small, fit)
+            if test is None:
+                continue
+            # The term may explain the correlated errors, so the fit without it states their effect.
+            p_value = f_tail(test.statistic / small.inflation, 1, small.dof)
+            if p_value > SIGNIFICANT:
+                p_values[term] = p_value
+        return p_values
 
     def alike(self, terms: Terms) -> Mapping[str, Values]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
@@ -312,7 +368,7 @@ class _Fits:
         scale = cost_scale(fit)
         for term in selected(self.absent, terms):
             for rival in without(self.absent, terms):
-                swapped = self.fitted(terms - {term} | {rival}, fit)
+                swapped = self.fit_of(terms - {term} | {rival}, fit)
                 above = 2 * (swapped.cost - fit.cost) / scale
                 if swapped.converged and above < EQUAL_AIC:
                     rivals.setdefault(term, {})[rival] = above
@@ -325,8 +381,18 @@ def with_terms(problem: AnyProblem, terms: Terms, absent: Values) -> AnyProblem:
 
 
 def _part(part: Problem, terms: Terms, absent: Values) -> Problem:
-    values = {n: absent[part.outside(n)] for n in part.declared if part.outside(n) in absent}
-    chosen = {name for name in values if part.outside(name) in terms}
-    fixed = without({**part.fixed_values, **values}, chosen)
-    free = [name for name in part.free if name not in values]
+    """Return a part with its candidates free or fixed; its own names of them may be other ones."""
+    chosen = set()
+    absent_here = {}
+    for name in part.declared:
+        candidate = part.outside(name)
+        if candidate not in absent:
+            continue
+        if candidate in terms:
+            chosen.add(name)
+        else:
+            absent_here[name] = absent[candidate]
+
+    fixed = without({**part.fixed_values, **absent_here}, chosen)
+    free = [name for name in part.free if part.outside(name) not in absent]
     return part.with_(fixed=fixed, free=[*free, *sorted(chosen)])

@@ -264,8 +264,9 @@ def _saturation(record: Record, segments: Segments, name: str) -> Findings:
     values = record[name][rows] if rows.size else record[name]
     share = float(at_limit(values[np.isfinite(values)]).mean())
     text = (
-        f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is "
-        "wrong there; use a smaller amplitude."
+        f"the control {name} rests at its largest or smallest value for {100 * share:.0f} % of the "
+        "time, as at a limit, where a linear model is wrong: use a smaller amplitude, unless the "
+        "test holds these values by design, as pulses do."
     )
     yield from graded("saturation", share, SATURATED, text)
 

@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.engine.compiled.part import Part, Portable
-from greybox.engine.compiled.record_part import RecordPart, compile_records
+from greybox.engine.compiled.record_part import compile_records
 from greybox.engine.compiled.response_part import ResponsePart
 from greybox.engine.compiled.response_programs import CostProgram, ResponseCompiler
 from greybox.engine.compiled.steep_bounds import MARGIN, steep_bounds
@@ -188,18 +188,14 @@ class CompiledProblem(Portable):
         return replace(self, parts=tuple(part.refined(factor) for part in self.parts))
 
     def has_stable_steps(self, z: Array, nodes: Sequence[Array]) -> bool:
-        """Return whether explicit steps of all records are stable at z (p,) and their nodes."""
-        records = self.rows_of(RecordPart, nodes)
-        return all(part.has_stable_steps(z, own) for part, own in records)
+        """Return whether explicit steps of all parts are stable at z (p,) and their nodes."""
+        pairs = zip(self.parts, nodes, strict=True)
+        return all(part.has_stable_steps(z, own) for part, own in pairs)
 
     @property
     def noise_sizes(self) -> set[str]:
         """Names of the sizes of process noise."""
-        return {
-            part.problem.outside(f"w_{state}")
-            for part in self.parts_of(RecordPart)
-            for state in part.model.driven
-        }
+        return {name for part in self.parts for name in part.noise_sizes}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
 """Condensing: the elimination of nodes and continuity multipliers from the Gauss-Newton system.
 
 The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next
-by its end state alone. Solved for several right-hand sides at once (the residuals, and one for each
-parameter), it gives how nodes and multipliers follow the parameters, so that a small system in the
-parameters is left.
+by its end state alone. It is solved for several right-hand sides at once: one for the residuals,
+and one for each parameter. The solutions are the sensitivities of nodes and multipliers to the
+parameters. With them only a small system in the parameters remains.
 
 Source: Bock and Plitt (1984), A multiple shooting algorithm for direct solution of optimal control
 problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Control and
@@ -19,19 +19,28 @@ from greybox.engine.compiled.part import Condensed, Trajectory
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.segments import Linearization, Segments
 
-# Curvature, relative to that of the outputs, that holds first states which no output shows.
+# Curvature that is added for initial states without effect on any output, relative to the curvature
+# of the outputs.
 RIDGE = 1e-10
 
-# Nodes times states from which a chain is halved: for fewer, the banded system takes less time.
+# A chain with at least this many nodes times states is halved. For a shorter one, the banded system
+# takes less time.
 LONG_CHAIN = 500
 
-# Largest change of a state by a unit change of another one over joined segments. It multiplies
-# rounding errors.
+# Largest change of a state that a unit change of another state may cause over joined segments: the
+# change multiplies rounding errors.
 MOST_GROWTH = 1e4
+
+# Variance, in units of the largest one allowed, above which a direction of the initial states is
+# weakly observable.
+WEAK_VARIANCE = 4
+
+# Penalty on such a direction: a step along it becomes shorter than 1e-8 of its length.
+STIFFNESS = 1e8
 
 
 def condense(
-    b: Linearization,
+    linearization: Linearization,
     trajectory: Trajectory,
     variance: Array,
     damping: float,
@@ -41,52 +50,52 @@ def condense(
 ) -> Condensed:
     """Return the quadratic model in the solver's variables, with all nodes eliminated.
 
-    Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative
-    to their curvature (Levenberg-Marquardt). `largest` (n,) are the variances beyond which initial
-    states are held, if given.
+    Continuity is exact where its `variance` (n,) is zero. `damping` is the Levenberg-Marquardt term
+    of the free nodes, relative to their curvature. Initial states whose variances exceed `largest`
+    (n,), if given, get a stiff penalty.
     """
-    held = np.zeros(1)
+    held = np.zeros(1)  # no penalty: it broadcasts against (s, n, n)
     if largest is not None:
-        held = _held_curvature(b, variance, data, largest)
-    node_hessian = b.node_hessian + held
+        held = _held_curvature(linearization, variance, data, largest)
+    node_hessian = linearization.node_hessian + held
     # Damping enters the matrix but not the gradient: a minimum of the problem stays one. Without
     # it, 91 % of 58 fits of hard problems reach the best minimum instead of 97 %.
     node_damping = np.zeros_like(trajectory.gaps)
     if damping:
-        node_damping = damping * _node_curvature(b, variance, data)
+        node_damping = damping * _node_curvature(linearization, variance, data)
         node_hessian += diagonal(node_damping)
 
-    # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the
-    # parameters. Under names of their own, they would stay in memory beside the solution.
-    x, multiplier = solve_continuity(
+    # The first right-hand side is the gradient of the residuals, the others are its derivatives
+    # with respect to the parameters. They have no names, so that their memory is freed early.
+    nodes, multiplier = solve_continuity(
         node_hessian,
-        b.transition,
+        linearization.transition,
         data.coupled,
-        -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2),
-        -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2),
+        -np.concatenate(
+            [linearization.node_gradient[:, :, None], linearization.cross_hessian], axis=2
+        ),
+        -np.concatenate([trajectory.gaps[:, :, None], linearization.parameter_sensitivity], axis=2),
         variance,
     )
 
-    # The last segment of a stretch continues nowhere: its multiplier is zero.
-    change: Any = sum(
-        segments.by_record(
-            b.cross_hessian[batch].mT @ x[batch]
-            + b.parameter_sensitivity[batch].mT @ multiplier[batch],
-            batch,
-        )
-        for batch in segments.batches()
-    )
-    hessian = b.parameter_hessian + change[:, :, 1:]
-    gradient = b.parameter_gradient + change[:, :, 0]
+    # The last segment of a stretch has no continuity equation: its multiplier is zero.
+    change: Any = 0
+    for batch in segments.batches():
+        by_nodes = linearization.cross_hessian[batch].mT @ nodes[batch]
+        by_multipliers = linearization.parameter_sensitivity[batch].mT @ multiplier[batch]
+        change = change + segments.by_record(by_nodes + by_multipliers, batch)
+    hessian = linearization.parameter_hessian + change[:, :, 1:]
+    gradient = linearization.parameter_gradient + change[:, :, 0]
 
-    # The decrease that the quadratic model predicts for a step of the nodes only. It is that of the
-    # undamped system, because the prediction is compared with the true merit.
-    step = x[:, :, 0]
-    curved = np.einsum("si,sij,sj->", step, b.node_hessian, step)
-    lost = float((b.node_gradient * step).sum() + 0.5 * curved)
+    # The change of the merit that the quadratic model predicts for a step of the nodes only. It
+    # leaves out the damping, because the prediction is compared with the true merit.
+    step, node_sensitivity = nodes[:, :, 0], nodes[:, :, 1:]
+    curved = np.einsum("si,sij,sj->", step, linearization.node_hessian, step)
+    predicted = float((linearization.node_gradient * step).sum() + 0.5 * curved)
     relaxed = variance > 0
-    gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
-    lost += 0.5 * float((gaps / variance[relaxed]).sum())
+    next_gaps = (variance * multiplier[:, :, 0])[:, relaxed]
+    change_of_squares = next_gaps**2 - trajectory.gaps[:, relaxed] ** 2
+    predicted += 0.5 * float((change_of_squares / variance[relaxed]).sum())
 
     hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
@@ -95,54 +104,62 @@ def condense(
         hessian=(slopes.mT @ hessian @ slopes).sum(axis=0),
         gradient=np.einsum("rqz,rq->z", slopes, gradient),
         node_step=step,
-        node_sensitivity=x[:, :, 1:] @ slopes[segments.records],
+        node_sensitivity=node_sensitivity @ slopes[segments.records],
         multiplier=multiplier[:, :, 0],
         multiplier_sensitivity=multiplier[:, :, 1:] @ slopes[segments.records],
         damping=node_damping,
         held=held,
-        decrease=max(-lost, 0.0),
+        decrease=max(-predicted, 0.0),
     )
 
 
-def _held_curvature(b: Linearization, variance: Array, data: SampledData, largest: Array) -> Array:
-    """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
+def _held_curvature(
+    linearization: Linearization, variance: Array, data: SampledData, largest: Array
+) -> Array:
+    """Return a penalty (s, n, n) on weakly observable directions of the initial states.
 
-    It is zero, (1,), if they show all. What they hardly show are directions whose variances
-    at known parameters exceed four times the `largest` (n,).
+    A direction is weakly observable if its variance at known parameters exceeds four times the
+    `largest` variance (n,). The penalty is zero, (1,), if there is no such direction.
     """
-    # Along such a direction, the linearization does not reach to where its step leads: runs would
-    # creep for thousands of steps, and gain what fits the noise.
-    size = np.sqrt(positive_or_one(largest))  # those of delays are known
+    # Steps along such a direction leave the region in which the linearization is valid: runs would
+    # make thousands of short steps, and only fit the noise.
+    size = np.sqrt(positive_or_one(largest))  # the states of delays are known
     begins = data.begins_stretch
-    # What the first segments show is enough for most models.
-    shown = np.linalg.eigvalsh(b.node_hessian[begins] * size * size[:, None])
-    if shown.min(initial=1.0) > 0.25:
+    # For most models the outputs of the first segments are enough information.
+    information = np.linalg.eigvalsh(linearization.node_hessian[begins] * size * size[:, None])
+    if information.min(initial=1.0) > 1 / WEAK_VARIANCE:
         return np.zeros(1)
-    curvature = np.zeros_like(b.node_hessian)
+    curvature = np.zeros_like(linearization.node_hessian)
     forces = begins[:, None, None] * np.diag(1 / size)
-    x, _ = solve_continuity(
-        b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
+    response, _ = solve_continuity(
+        linearization.node_hessian,
+        linearization.transition,
+        data.coupled,
+        forces,
+        np.zeros_like(forces),
+        variance,
     )
-    covariance = x[begins] / size[:, None]
-    values, directions = np.linalg.eigh(covariance)
-    # A state that decays within a sample has about the largest variance, and is free.
-    directions *= (values > 4)[:, None] / size[:, None]
-    # A step along them is shortened to less than 1e-8 of itself.
-    curvature[begins] = 1e8 * directions @ directions.mT
+    covariance = response[begins] / size[:, None]
+    variances, directions = np.linalg.eigh(covariance)
+    # The limit is above one, because a state that decays within a sample has about the largest
+    # variance, and needs no penalty.
+    is_weak = variances > WEAK_VARIANCE
+    directions *= is_weak[:, None] / size[:, None]
+    curvature[begins] = STIFFNESS * directions @ directions.mT
     return curvature
 
 
-def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:
+def _node_curvature(linearization: Linearization, variance: Array, data: SampledData) -> Array:
     """Return the curvature (s, n) of outputs and continuity penalty for every free node state.
 
     Where continuity is exact the first nodes of every stretch are free.
     """
-    curvature = np.linalg.diagonal(b.node_hessian)
+    curvature = np.linalg.diagonal(linearization.node_hessian)
     relaxed = variance > 0
     curvature = np.where(data.begins_stretch[:, None] | relaxed, curvature, 0.0)
     stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
     coupled = data.coupled[:, None]
-    penalty = np.where(coupled, (b.transition**2 * stiffness[:, None]).sum(axis=1), 0.0)
+    penalty = np.where(coupled, (linearization.transition**2 * stiffness[:, None]).sum(axis=1), 0.0)
     penalty[1:] += np.where(coupled[:-1], stiffness, 0.0)
     return curvature + penalty
 
@@ -188,11 +205,11 @@ def solve_continuity(
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
     H = hessian * size * size[:, None]
-    # All later nodes follow from the first ones. Where a mean over the segments is too large for
-    # the first ones, it would hold what the outputs show.
+    # All later nodes follow from the first ones. A mean over all segments may be too large for the
+    # first segments: the larger size keeps the ridge negligible against the outputs.
     begins = ~np.append(False, coupled[:-1])
-    first = np.maximum(size, state_sizes(hessian[begins], transition[begins]))
-    H[begins] += RIDGE * np.diag((size / first) ** 2)
+    initial_size = np.maximum(size, state_sizes(hessian[begins], transition[begins]))
+    H[begins] += RIDGE * np.diag((size / initial_size) ** 2)
     A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)
@@ -202,32 +219,36 @@ def solve_continuity(
     # Two neighboring segments of a long chain with exact continuity become one, as often as
     # possible: the second node follows from the first. That takes a fifth of the time of the banded
     # system. All is done in place: fresh memory for copies would take as long as the arithmetic.
-    remaining, pairs = np.arange(s), list[Any]()
+    remaining = np.arange(s)
+    pairs = list[Any]()
     coupled = coupled.copy()
     while len(remaining) * n >= LONG_CHAIN and not variance.any():
         paired = 2 * np.flatnonzero(coupled[:-1:2])
         first, second = remaining[paired], remaining[paired + 1]
         A_first, A_second, H_second, gap = A[first], A[second], H[second], multiplier[first]
-        both = A_second @ A_first
+        joined = A_second @ A_first
         # Nodes that are far apart do not determine an unstable trajectory between them.
-        if not (len(paired) and np.abs(both).max() < MOST_GROWTH):
+        if not (len(paired) and np.abs(joined).max() < MOST_GROWTH):
             break
         H[first] += A_first.mT @ H_second @ A_first
-        A[first] = both
+        A[first] = joined
         x[first] += A_first.mT @ (x[second] + H_second @ gap)
         multiplier[first] = multiplier[second] + A_second @ gap
         pairs.append((first, second, A_first, gap))
         coupled[paired] = coupled[paired + 1]
-        left = np.ones(len(remaining), bool)
-        left[paired + 1] = False
-        remaining, coupled = remaining[left], coupled[left]
+        is_kept = np.ones(len(remaining), bool)
+        is_kept[paired + 1] = False
+        remaining, coupled = remaining[is_kept], coupled[is_kept]
 
-    chain = (values[remaining] for values in (H, A, x, multiplier))
-    x[remaining], multiplier[remaining] = _solved_bands(coupled, variance, *chain)
+    x[remaining], multiplier[remaining] = _solved_bands(
+        coupled, variance, H[remaining], A[remaining], x[remaining], multiplier[remaining]
+    )
+    # The eliminated nodes and multipliers follow, the last pair first.
     for first, second, A_first, gap in reversed(pairs):
-        end, force = A_first @ x[first] - gap, multiplier[first]
-        multiplier[first] = H[second] @ end + A[second].mT @ force - x[second]
-        x[second], multiplier[second] = end, force
+        second_node = A_first @ x[first] - gap
+        second_multiplier = multiplier[first]
+        multiplier[first] = H[second] @ second_node + A[second].mT @ second_multiplier - x[second]
+        x[second], multiplier[second] = second_node, second_multiplier
     x *= size[:, None]
     multiplier /= size[:, None]
     return x, multiplier
@@ -241,8 +262,8 @@ def _solved_bands(
     stationarity: Array,
     continuity: Array,
 ) -> tuple[Array, Array]:
-    """Solve the system of `solve_continuity`, its states of order one, as a banded matrix."""
-    # It takes half a second to import.
+    """Solve the system of `solve_continuity` as a banded matrix, for states of order one."""
+    # SciPy's linear algebra takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
     s, n, r = stationarity.shape
@@ -253,7 +274,8 @@ def _solved_bands(
     bands = np.zeros((s, 2 * n, 3 * width + 1))
     for column in range(n):
         first = 2 * width - column
-        state, multiplier = bands[:, column, first:], bands[:, n + column, first - n :]
+        state = bands[:, column, first:]
+        multiplier = bands[:, n + column, first - n :]
         state[:, :n] = hessian[:, :, column]
         state[:, n : 2 * n] = transition[:, :, column]
         multiplier[:, :n] = transition[:, column]
@@ -264,7 +286,7 @@ def _solved_bands(
 
     right = np.hstack([stationarity, continuity]).reshape(2 * n * s, r)
     matrix = bands.reshape(2 * n * s, -1).T
-    # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
+    # LAPACK works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
     *_, solution, failure = dgbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
     if failure or not all_finite(solution):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")

@@ -1,7 +1,11 @@
-"""How the outputs of a record would follow terms that its model does not have.
+"""Responses of the outputs of a record to terms that its model does not have.
 
-The outputs follow a term to first order, from some initial states, which are fitted afterwards. No
-other model is compiled, and models that are unstable without feedback are served.
+The responses are of first order. They begin at arbitrary initial states, since a fit of the terms
+also fits initial states. No other model is compiled, and the model may be unstable without
+feedback.
+
+Shapes: a record has `samples` in s segments of `length` samples. The model has n states, m inputs
+and k outputs; c is the number of terms.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,16 +23,35 @@ from greybox.engine.compiled.record_part import RecordPart
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = Array
-"""What c terms add to next states and residuals of segments, (length, s, n + k, c)."""
+"""The additions of c terms to next states and residuals, (length, s, n + k, c)."""
 
-# Logarithm of the growth of an error over a record, beyond which its model counts as unstable.
+# Logarithm of the growth of an error over a record above which the model counts as unstable: the
+# error grows a hundredfold.
 UNSTABLE = 4.6
+
+# Replaces a parameter of zero, which would hide the terms that it multiplies.
+NONZERO = 1e-12
 
 
 class DisturbedRecord:
-    """A record along its best trajectory, with its signals (·, samples) in order.
+    """A record along its best trajectory.
 
-    Where its residuals are means, their deviations were `spread` (k, 1) times as large before.
+    Attributes
+    ----------
+    part : RecordPart
+    trajectory : Trajectory
+    spread : (k, 1) array, or 1.0
+        Where the residuals are means over some samples: the factor by which averaging reduced their
+        standard deviations.
+    states, inputs, outputs, residuals, present : (n, m, k, k or k, samples) arrays
+        The signals in the order of the samples; `present` marks the measured outputs.
+    step : float, s
+    weight : (k, k) array
+        Weight of the residuals.
+    is_predicted : bool
+        Whether residuals correct the states.
+    parameters : array
+        Values of the parameters.
     """
 
     def __init__(
@@ -38,7 +61,8 @@ class DisturbedRecord:
         placed = trajectory.detail
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        # Slopes of the next states and the residuals, (length, s, n + k, v).
+        # Slopes of the next states and the residuals with respect to v states and parameters,
+        # (length, s, n + k, v).
         slopes = segments.sample_derivatives(trajectory.course)
         self._slopes = slopes.reshape(segments.length, segments.count, *slopes.shape[1:])
         self.states = segments.in_order(trajectory.states)
@@ -46,9 +70,11 @@ class DisturbedRecord:
         self.residuals = part.residuals(trajectory)
         self.step = part.data.stretches[0].step
         self.weight = part.residual_weight(trajectory)
-        # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
-        self.inputs = segments.in_order(data[m : 4 * m])[1::3]
+        # The rows of the data, see `SampledData.rows`: m delays; every input at the sample before,
+        # at the sample, and after it; k outputs; k marks of measured outputs; the step.
+        inputs_around = segments.in_order(data[m : 4 * m])
+        self.inputs = inputs_around[1::3]
         self.present = segments.in_order(data[-1 - k : -1])
         self._half_steps = self._by_sample(part.data.steps)[..., None] / 2
         self.parameters = placed.q
@@ -62,7 +88,10 @@ class DisturbedRecord:
         return float(self.part.samples * np.log(growth))
 
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: Any) -> Array:
-        """Return a function of the samples and the step of every stretch, segments filled up."""
+        """Apply `function(samples, step, ...)` to every stretch of a row (samples,).
+
+        The result has as many samples as all segments, of which the last ones are padded.
+        """
         data = self.part.data
         pieces = zip(data.unpadded(row), data.stretches, strict=True)
         rows = [function(piece, stretch.step, *arguments)[None] for piece, stretch in pieces]
@@ -85,7 +114,9 @@ class DisturbedRecord:
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to an input."""
-        slopes = self._slopes_of_formulas[:, place - self.inputs.shape[0]]
+        # The columns are parameters, then inputs.
+        column = len(self.part.system.parameters) + place
+        slopes = self._slopes_of_formulas[:, column]
         return self._by_formulas(slopes.T, values, self.part.model.between[place].held)
 
     def by_constant(self, place: int, values: Array) -> Effect:
@@ -94,9 +125,9 @@ class DisturbedRecord:
 
     @cached_property
     def measured_derivatives(self) -> Array:
-        """The factors (k, n) of the derivatives of states in outputs: of accelerations, say.
+        """The factors (k, n) of the derivatives of states in outputs, such as accelerations.
 
-        A term that such a derivative lacks is then missing in the output, too.
+        A term that is missing in such a derivative is missing in the output, too.
         """
         n = self.part.states
         return factors_of_derivatives(self._slopes_of_formulas[:n], self._slopes_of_formulas[n:])
@@ -105,32 +136,34 @@ class DisturbedRecord:
     def _slopes_of_formulas(self) -> Array:
         """The slopes of derivatives and outputs (n + k, parameters and inputs, samples)."""
         system = self.part.system
-        # A gain that ended at zero would hide every term of its input.
         q = self.parameters[: len(system.parameters)]
-        return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))
+        return system.slopes(self.states, self.inputs, np.where(q == 0, NONZERO, q))
 
     def _by_formulas(self, slopes: Array, values: Array, is_held: bool = False) -> Effect:
         """Return the effect of values (c, samples) times the slopes (samples, n + k) of formulas.
 
-        The next states get the mean of the additional derivatives over a step, propagated over half
-        of it.
+        With the step T and the transition A of the states, additional derivatives of mean d over a
+        step change the next states by (A + 1) d T/2.
         """
         n = self.part.states
         slopes = np.broadcast_to(slopes, (self.part.samples, slopes.shape[-1])).T
         # Most terms add to a single state: with 20 states, multiplying the zeros of the others
         # would take a quarter of the test's time.
-        moved = slopes[:n].any(axis=1)
-        mean = slopes[:n][moved] * values[:, None]
+        is_driven = slopes[:n].any(axis=1)
+        mean = slopes[:n][is_driven] * values[:, None]
+        # Terms have values at samples, and a step lasts until the next sample. In a predictor the
+        # next value contains the correction by the current residual, so it is not used.
         if not (self.is_predicted or is_held):
-            # Terms have values at samples, and a step lasts until the next sample.
             mean[..., :-1] += mean[..., 1:]
             mean[..., :-1] /= 2
         mean = self._by_sample(mean)
-        change = np.einsum("lsnj,lsjc->lsnc", self._slopes[:, :, :n, :n][..., moved], mean)
-        change[:, :, moved] += mean
+        transition = self._slopes[:, :, :n, :n][..., is_driven]
+        change = np.einsum("lsnj,lsjc->lsnc", transition, mean)
+        change[:, :, is_driven] += mean
         change *= self._half_steps
-        outputs = self._by_sample(slopes[n:])[..., None] * -self._by_sample(values)[:, :, None]
-        return np.concatenate([change, outputs], axis=2)
+        # Residuals are measured less simulated outputs.
+        residuals = self._by_sample(slopes[n:])[..., None] * -self._by_sample(values)[:, :, None]
+        return np.concatenate([change, residuals], axis=2)
 
     def _by_sample(self, values: Array) -> Array:
         """Return values (c, r, samples) as (length, s, r, c): sample by sample of all segments."""
@@ -139,56 +172,67 @@ class DisturbedRecord:
         return np.ascontiguousarray(by_segment.T)
 
     def followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
-        """Return how outputs (k, c, samples) follow changes, up to what initial states can do.
+        """Return the responses of the outputs (k, c, samples) to changes, from any initial states.
 
-        Changes are pairs of a function of values (c, samples) that returns their effect, and of
-        values (samples,). Changes with the same function should follow one another.
+        A change is a pair: a function of values (c, samples) that returns their effect, such as
+        `by_output` for one place, and the values (samples,). Changes with the same function should
+        follow one another.
         """
         part = self.part
-        # Residuals are measured less simulated outputs: they follow what is subtracted as outputs
-        # follow what is added.
-        effects = [
-            place(-np.array([values for _, values in group]))
-            for place, group in groupby(changes, itemgetter(0))
-        ]
+        effects = []
+        for effect_of, group in groupby(changes, itemgetter(0)):
+            values = np.array([values for _, values in group])
+            # Residuals are measured less simulated outputs: what is subtracted changes residuals
+            # as what is added changes outputs.
+            effects.append(effect_of(-values))
         ends, rows = self._carried(np.concatenate(effects, axis=3))
         if part.states:
-            rows += self._by_nodes[1] @ self._nodes(ends, rows)
+            _, residuals_by_nodes = self._by_nodes
+            rows += residuals_by_nodes @ self._nodes(ends, rows)
         return rows.reshape(part.samples, -1, len(changes)).transpose(1, 2, 0)
 
     def _nodes(self, ends: Array, rows: Array) -> Array:
-        """Return the nodes (s, n, c) that follow such ends and residuals from zero ones."""
+        """Return the changes of the nodes (s, n, c) that make the segments continuous again.
+
+        The changes of `ends` (s, n, c) and of residuals `rows` (s, length · k, c) are those from
+        unchanged nodes.
+        """
         transition, J = self._by_nodes
-        coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
+        coupled = self.part.data.coupled
         if self.growth > UNSTABLE:
-            # Simulated from zero, they would lose their digits: fitted, they remain small.
-            inverse = np.kron(np.eye(self.part.segments.length), self.weight.T @ self.weight)
-            weighted = J.mT @ inverse
-            return solve_continuity(weighted @ J, transition, coupled, -weighted @ rows, -ends)[0]
+            # Simulated nodes would grow until their digits are lost. Fitted nodes remain small.
+            weights = np.kron(np.eye(self.part.segments.length), self.weight.T @ self.weight)
+            weighted = J.mT @ weights
+            nodes, _ = solve_continuity(weighted @ J, transition, coupled, -weighted @ rows, -ends)
+            return nodes
+        nodes = np.zeros_like(ends)
         for j in np.flatnonzero(coupled).tolist():
             nodes[j + 1] = transition[j] @ nodes[j] + ends[j]
         return nodes
 
     @cached_property
     def _by_nodes(self) -> tuple[Array, Array]:
-        """How ends (s, n, n) and residuals (s, length · k, n) follow the nodes."""
-        part, n, weight = self.part, self.part.states, np.eye(len(self.weight))
-        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None), weight)
+        """Derivatives of ends (s, n, n) and residuals (s, length · k, n) by the nodes."""
+        part = self.part
+        n = part.states
+        unweighted = np.eye(len(self.weight))
+        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None), unweighted)
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
         return ends[..., :n] * unknown, J[..., :n] * unknown
 
     def _carried(self, effects: Effect) -> tuple[Array, Array]:
-        """Carry the effects of c terms through the segments, from zero nodes.
+        """Carry the effects of c terms through the segments, from unchanged nodes.
 
-        Returns those on ends (s, n, c) and on residuals (s, length · k, c).
+        Returns the changes of the ends (s, n, c) and of the residuals (s, length · k, c).
         """
         n = self.part.states
-        # No residual follows where nothing was measured.
+        # Samples without a measurement have no residual.
         present = self._by_sample(self.present)[..., None]
-        S, rows = np.zeros_like(effects[0, :, :n]), list[Array]()
-        for slopes, effect, measured in zip(self._slopes, effects, present, strict=True):
-            following = slopes[..., :n] @ S + effect
-            S = following[:, :n]
-            rows.append(following[:, n:] * measured)
-        return S, np.hstack(rows)
+        states = np.zeros_like(effects[0, :, :n])
+        rows = []
+        for slopes, effect, is_measured in zip(self._slopes, effects, present, strict=True):
+            following = slopes[..., :n] @ states + effect
+            states = following[:, :n]
+            rows.append(following[:, n:] * is_measured)
+        return states, np.hstack(rows)

@@ -16,6 +16,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
+# Evidence for slow errors where none was computed.
 NO_LINES = np.zeros((0, 0))
 
 
@@ -30,30 +31,31 @@ class ColoredErrors:
     dof : float
         Degrees of freedom of the variances that follow.
     spectrum : ErrorSpectrum or None
-        Of a record, spectrum of the errors, enlarged for what the fit took from them; None where
-        all residuals are zero.
+        Spectrum of the errors of a record, corrected for the part of the errors that the fit
+        explained. None where all residuals are zero, and for data other than records.
     process_noise : function
-        Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts. Of a record only.
+        Returns twice the logarithm of the ratio of evidences: process noise (white, or gusts)
+        against other errors. Zero for data other than records.
     slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
-        number of frequencies that show the parameters: (2, outputs). Of a record only.
+        Returns a (2, outputs) array. The first row is twice the logarithm of the ratio of
+        evidences, slow errors of each output against white ones. The second row is the number of
+        frequencies with information on the parameters. Empty for data other than records.
     """
 
     meat: Array
     dof: float
     spectrum: ErrorSpectrum | None = None
-    process_noise: Callable[[], float] = float
+    process_noise: Callable[[], float] = float  # a call returns 0.0
     slow_errors: Callable[[], Array] = lambda: NO_LINES
 
 
 class CorrelatedPoints(ABC):
-    """What the residuals of a response show of the correlation of its errors along frequency.
+    """Correlation of the errors of a response along frequency, estimated from its residuals.
 
     Attributes
     ----------
     neighbors : NeighborCorrelation
-        The correlation that this response, judged alone, shows.
+        The correlation estimated from this response alone.
     """
 
     neighbors: NeighborCorrelation
@@ -62,7 +64,7 @@ class CorrelatedPoints(ABC):
     def averaged(self, errors: NeighborCorrelation) -> tuple[Array, float]:
         """Return the middle matrix (r, r) of the sandwich, and the degrees of freedom.
 
-        `errors` is the correlation that all responses together show.
+        `errors` is the correlation estimated from all responses together.
         """
 
 
@@ -76,14 +78,15 @@ class Information(ABC):
     jacobian : (rows, k) array
         Derivatives of the real residuals, or a triangular factor of them.
     numbers : int
-        Real numbers in the data that count as independent, less those that nuisance unknowns use
-        up.
+        Effective number of observations: the independent real numbers in the data, less the number
+        of nuisance unknowns.
     reach : (k,) array
-        Lengths of the columns of the Jacobian before the initial states were fitted too: if
-        initial states compensate for a value, the rest of its column is rounding.
+        Norms of the columns of the Jacobian before the initial states were eliminated. They set the
+        level of rounding: if initial states compensate for a value, its remaining column is
+        rounding only.
     initial : mapping of state to (stretches, k) array
-        How the initial states follow the values, in changes that the data notice; empty without
-        states.
+        Sensitivity of the initial states to the values, in units of the change of a state that is
+        visible in the data; empty without states.
     errors : (n,) array, rad/s, and (2 n,) array, or None
         The residuals of a frequency response in the rows of the Jacobian, and their frequencies;
         None where errors are independent.
@@ -106,33 +109,35 @@ class Information(ABC):
     def spread(self, correction: float) -> tuple[float, Array]:
         """Return the bread, a factor on JᵀJ, and a root L (m, k) of the meat M = LᵀL.
 
-        Both with the noise larger by the correction, and errors taken as independent: the estimate
-        has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
-        `greybox.modeling.formulation.frequency_criteria`. M itself has the squares of the singular
-        values of L: of parameters that are hard to tell apart, it loses the digits that a root
-        keeps.
+        The noise is larger by the correction, and errors count as independent. With the bread B,
+        the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
+        `greybox.modeling.formulation.frequency_criteria`. The method returns the root L, because M
+        has the squares of its singular values: digits would be lost for nearly collinear
+        parameters.
         """
 
     def colored(self, root: Array) -> ColoredErrors | None:
-        """Return what correlation in time, or unequal sizes over a spectrum, makes of the errors.
+        """Return the effect of colored errors on the covariance; None where errors count as white.
 
+        Errors are colored if they are correlated in time, or of unequal size over a spectrum.
         `root` (p, r) is a root of B⁻¹: the covariance of the free parameters for white errors,
-        times the weight of the part. Directions of unit variance keep their digits where parameters
-        are hardly determined. None where errors count as white.
+        times the weight of the part. Its columns are directions of unit variance, in which no
+        digits are lost where parameters are poorly determined.
         """
         return None
 
     def correlated(self, correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
-        """Return what the residuals show of correlation along frequency; None where nothing.
+        """Return the correlation of the errors along frequency; None if they are independent.
 
-        For a correction of the noise, a root (p, r) of B⁻¹, and the degrees of freedom.
+        `root` (p, r) is a root of B⁻¹, and `dof` the degrees of freedom; the noise is larger by the
+        correction.
         """
         return None
 
     def offset(self, correction: float) -> Array | None:
-        """Return what noise adds to the residuals (rows,) in the mean; None for nothing.
+        """Return the expected bias of the residuals (rows,) from noise; None without a bias.
 
-        By the `gain_bias` of a criterion of responses, with the noise larger by the correction: the
-        bias of the estimate is its least squares on the Jacobian.
+        It follows from the `gain_bias` of a criterion of responses, with the noise larger by the
+        correction. Its least-squares solution with the Jacobian is the bias of the estimate.
         """
         return None

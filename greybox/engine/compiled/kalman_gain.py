@@ -66,7 +66,7 @@ class KalmanGain:
     def is_stable(self, trajectory: Trajectory) -> bool:
         """Return whether errors of the states fade within the limit, or as those of the model do.
 
-        By the poles of the mean linearization of a trajectory.
+        The errors fade with the poles of the mean linearization of a trajectory.
         """
         return spectral_radius(self.error_transition(trajectory)) <= self.radius(trajectory)
 

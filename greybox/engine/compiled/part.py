@@ -70,7 +70,7 @@ class Trajectory:
 
     @property
     def course(self) -> Any:
-        """Of a record, where the functions of its segments are evaluated: a `Course`."""
+        """Where the functions of the segments of a record are evaluated, a `Course`."""
         return self.detail.along(self.states)
 
     @property
@@ -94,7 +94,7 @@ class Condensed:
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
     held : (s, n, n) array, or a zero (1,)
-        Curvature that holds initial states which the outputs hardly show.
+        Penalty on weakly observable directions of the initial states.
     decrease : float
         Decrease of the merit that is predicted for the step of the nodes alone.
     """
@@ -185,6 +185,8 @@ class Part(Portable, ABC):
         Whether the cost is N/2 times the logarithm of a sum of squares, whose size is not known.
     few : (..., k) array of int
         Numbers of every output that are too few for a variance of their own, else zero.
+    has_bounded_errors : bool
+        Whether large errors count less than in least squares, see `with_bounded_errors`.
     """
 
     numbers: int
@@ -197,6 +199,7 @@ class Part(Portable, ABC):
     gains: tuple[tuple[str, str], ...] = ()
     is_logarithm: bool = False
     few: IntArray = np.zeros(0, dtype=int)
+    has_bounded_errors: bool = False
 
     def __init__(self, problem: Problem) -> None:
         """Store the problem, and the facts that are needed without it."""
@@ -204,6 +207,16 @@ class Part(Portable, ABC):
         self.name = problem.name
         self.weight = float(problem.weight)
         self.is_likelihood = problem.criterion.is_likelihood
+
+    @property
+    def noise_sizes(self) -> tuple[str, ...]:
+        """Names, in the answer, of the parameters that are sizes of process noise."""
+        return ()
+
+    @property
+    def operations(self) -> int:
+        """Instructions of one simulation; 0 where nothing is integrated."""
+        return 0
 
     # --- for the Gauss-Newton driver
 
@@ -280,7 +293,7 @@ class Part(Portable, ABC):
     ) -> Condensed:
         """Eliminate the nodes; continuity is exact where its variances (n,) are zero, or None.
 
-        With the `weight` of the residuals, initial states that they hardly show are held.
+        With the `weight` of the residuals, weakly observable initial states get a penalty.
         """
         # Without nodes the linearization is the condensed system already.
         gradient, hessian = linearization
@@ -303,6 +316,10 @@ class Part(Portable, ABC):
 
         They are a record's simulated outputs over the signals' spread, or a response's P/|P̂|.
         """
+
+    def has_stable_steps(self, z: Array, nodes: Array) -> bool:
+        """Return whether explicit steps are stable at z (p,) and nodes (s, n)."""
+        return True
 
     def refined(self, factor: int) -> "Part":
         """Return the part with `factor` times the steps per sample."""

@@ -30,7 +30,7 @@ class RecordInformation(Information):
     slopes : Sensitivity
         Derivatives of the residuals by the part's variables.
     weight : (k, k) array
-        Of the residuals of the outputs.
+        Weight of the residuals of the outputs.
     meat : (m, k) array
         A root of the meat for white errors of the size of the residuals.
     unseen : (rows, columns) array
@@ -52,7 +52,7 @@ class RecordInformation(Information):
         return 1.0, self.meat * (1.0 if self.part.model.is_prior else correction)
 
     def colored(self, root: Array) -> ColoredErrors | None:
-        """Return what correlation in time makes of the errors."""
+        """Return the effect of the correlation of the errors in time."""
         if not self.is_colored:
             return None
         part, slopes = self.part, self.slopes

@@ -61,6 +61,7 @@ class RecordPart(SegmentedPart):
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
         self.is_logarithm = self.covariance.known is None and not model.driven
+        self.has_bounded_errors = model.has_bounded_errors
 
     # --- parts made of this one
 
@@ -80,7 +81,7 @@ class RecordPart(SegmentedPart):
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its errors are not normal."""
-        if not self.model.has_bounded_errors:
+        if not self.has_bounded_errors:
             return self
         model = self.data.unpadded(self.simulated_outputs(trajectory))
         stretches = zip(self.data.stretches, model, strict=True)
@@ -96,6 +97,16 @@ class RecordPart(SegmentedPart):
         return part
 
     # --- facts
+
+    @property
+    def noise_sizes(self) -> tuple[str, ...]:
+        """Names of the intensities of process noise."""
+        return tuple(self.problem.outside(f"w_{state}") for state in self.model.driven)
+
+    @property
+    def operations(self) -> int:
+        """Instructions of one simulation."""
+        return self.samples * self.substeps * self.step.substep.n_instructions()
 
     def has_stable_steps(self, z: Array, nodes: Array) -> bool:
         """Return whether explicit steps are stable at z (p,) and nodes (s, n).
@@ -306,8 +317,8 @@ def _assumed_covariances(
 ) -> list[ResidualCovariance]:
     """Return the residual covariances of records; those of one model share their spread.
 
-    By its own spread, a record whose outputs are small would decide where searches begin: one of
-    three flights, with a payload, drew every start away from the minimum of the other two.
+    With a spread of its own, a record whose outputs are small would decide where searches begin:
+    one of three flights, with a payload, drew every start away from the minimum of the other two.
     """
     pairs = zip(models, data, strict=True)
     own = [residual_covariance_of(m.criterion, m.outputs, sampled.measured) for m, sampled in pairs]

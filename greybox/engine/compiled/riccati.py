@@ -118,10 +118,11 @@ class NoiseModel:
 
     @np.errstate(all="ignore")
     def at(self, q: Array) -> SteadyFilter:
-        """Return the filter at the parameters q; NaN where there is none.
+        """Return the filter at the parameters q; NaN where it does not exist.
 
-        The derivatives are by complex steps: a change of 1e-100 i of a parameter changes the real
-        parts by less than rounding, and the imaginary parts by the derivative, to all digits.
+        The derivatives are computed by complex steps: a change of 1e-100 i of a parameter changes
+        the real parts by less than rounding, and the imaginary parts by the derivative, to all
+        digits.
         """
         tiny = 1e-100
         steps = 1j * tiny * np.eye(len(q))[self.columns]
@@ -134,7 +135,8 @@ class NoiseModel:
             matrices.append(M + 1j * tiny * np.concatenate([np.zeros((1, *M.shape)), slopes]))
         F, half, C = matrices
         K, S = self._filters(F, half, C, moved)
-        gain_slope, covariance_slope = (np.moveaxis(M[1:].imag / tiny, 0, -1) for M in (K, S))
+        gain_slope = np.moveaxis(K[1:].imag / tiny, 0, -1)
+        covariance_slope = np.moveaxis(S[1:].imag / tiny, 0, -1)
         return SteadyFilter(K[0].real, gain_slope, S[0].real, covariance_slope)
 
     def _filters(self, F: Any, half: Any, C: Any, q: Any) -> tuple[Any, Any]:

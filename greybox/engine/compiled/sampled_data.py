@@ -24,7 +24,7 @@ from greybox.data.record import Record, unrounded
 from greybox.modeling.cached_property import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Samples through which more than an initial state and a slope is needed.
+# Fewest samples of a usable stretch: an initial state and a slope explain any two samples.
 ENOUGH = 3
 
 # Share of a step by which a delay may exceed a whole number of samples and still count as that
@@ -35,12 +35,12 @@ WHOLE = 1e-3
 # before it: longer than a command at a quarter of the logging rate is held.
 REST = 5
 
-# Share of a unit of the stamps by which they are off the clock that they round; the rest is for its
-# rate, which is estimated from them.
+# Largest distance of time stamps from the uniform clock that they round, in units of their last
+# digit. Rounding makes up one half; the rest is for the estimated rate of the clock.
 HALF = 0.52
 
-# Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz
-# may turn into one at 0.05 Hz. Beyond, a stretch keeps its uneven steps.
+# Largest number of samples of a stretch with filled long steps, for each measured sample. With 20,
+# a clock at 1 Hz may turn into one at 0.05 Hz. A stretch that needs more keeps its uneven steps.
 MOST_FILLED = 20
 
 
@@ -82,9 +82,9 @@ class Stretch:
         places = np.flatnonzero(~self.filled)
         share = np.interp(np.arange(len(self)), places, np.arange(places.size))
         last = np.floor(share).astype(int)
-        before, after = (
-            values[:, self.own_rows[np.minimum(at, places.size - 1)]] for at in (last, last + 1)
-        )
+        next_row = np.minimum(last + 1, places.size - 1)
+        before = values[:, self.own_rows[np.minimum(last, places.size - 1)]]
+        after = values[:, self.own_rows[next_row]]
         return before + (share - last) * (after - before)
 
     @property
@@ -232,7 +232,7 @@ class SampledData:
 
     @property
     def measured(self) -> Array:
-        """Measured outputs (k, samples), NaN where there is none."""
+        """Measured outputs (k, samples), NaN where nothing was measured."""
         return self.padded([stretch.outputs for stretch in self.stretches], np.nan)
 
     @property
@@ -394,7 +394,8 @@ def gapless(
     ValueError
         If an input is delayed and a stretch is not uniformly sampled.
     """
-    u, y = (array_of(record, names).reshape(len(names), len(record)) for names in (inputs, outputs))
+    u = array_of(record, inputs).reshape(len(inputs), len(record))
+    y = array_of(record, outputs).reshape(len(outputs), len(record))
     y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
     complete_inputs = np.all(np.isfinite(u), axis=0)
     # Rows without a time have no neighbors: a row that lacks an input is no gap.

@@ -7,12 +7,11 @@ sample by sample.
 
 Columns run over segments, sample by sample: column i · s + j is sample i of segment j.
 
-Derivatives of a sample with many operations, substep by substep.
-
-One function of all substeps repeats every operation of the model for every substep and every
-direction. A substep has a Jacobian as sparse as the model, for one function evaluates all substeps
-and columns; products with block-diagonal sparse matrices carry the derivatives from one to the
-next.
+The derivatives of a sample with many operations are computed substep by substep. A function of all
+substeps would repeat every operation of the model for every substep and every direction. The
+Jacobian of one substep is as sparse as the model, and one function evaluates it for all substeps
+and columns. Products with block-diagonal sparse matrices carry the derivatives from one substep to
+the next.
 """
 
 import math
@@ -31,8 +30,8 @@ from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 from greybox.modeling.traced_once import once
 
 # Samples whose derivatives are in memory at once: with three states and five parameters they take
-# 2 MB. For one to twenty states, 2500 to 24 000 take equally long. A record of so many is evaluated
-# once for its last step, its standard errors and its test.
+# 2 MB. For one to twenty states, batches of 2500 to 24 000 samples take equally long. A record that
+# fits into one batch is evaluated once for its last step, its standard errors and its test.
 BATCH = 6_000
 
 # States up to which derivatives are carried through all segments at once, which takes half the time
@@ -78,7 +77,7 @@ class Linearization(NamedTuple):
 
 
 class Segments:
-    """So many segments of one length, each simulated from its own state.
+    """Segments of equal length, each simulated from its own initial state.
 
     Derivatives are with respect to that state and the parameters that `active` names. Segments of
     several records follow one another; `records` (s,) is the record of each. The parameters `own`
@@ -112,9 +111,13 @@ class Segments:
     def _columns(self, name: str) -> Callable[..., Sequence[Array]]:
         """Return a function of x, q and data, the same for all segments with this step.
 
-        "advance" gives the next state, "output" residual and simulated output, "derivatives" those
-        of both next state and residual by x and active parameters, and the residual, and
-        "output_derivatives" those of the simulated output instead of the residual.
+        The names are:
+
+        - "advance": the next state;
+        - "output": the residual and the simulated output;
+        - "derivatives": the derivatives of the next state and the residual with respect to x and
+          the active parameters, and the residual;
+        - "output_derivatives": the same with the simulated output instead of the residual.
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
@@ -157,11 +160,12 @@ class Segments:
             slopes = dense_jacobian(ca.vertcat(of_free[0], compared), free)
             at_free = ca.Function("at_free", [free, q, d], [slopes, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
-        # Common subexpressions are few, and looking for them takes four times as long as the rest.
+        # There are few common subexpressions, and the search for them would take four times as long
+        # as the rest.
         return ca.Function(name, [x, q, d], results)
 
     def _evaluate(self, name: str, at: Course) -> Sequence[Array]:
-        """Evaluate the function of this name for columns of the segments that q is given for."""
+        """Evaluate the function of this name for columns of the segments to which q belongs."""
         if self._own:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
         return self._columns(name)(*at)
@@ -189,8 +193,9 @@ class Segments:
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states (n, columns) at all samples, and the ends (s, n), from nodes (s, n)."""
-        # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
-        # 0.9 µs: few long segments are simulated one after the other.
+        # A call from Python takes 12 µs for a sample of all segments together. CasADi's own loop
+        # takes 0.9 µs for a sample of one segment. Few long segments are therefore simulated one
+        # after the other.
         if self.n and self.length > 10 * self.count:
             return self.simulate_stretches([1] * self.count, nodes, q, data)
         s = self.count
@@ -284,15 +289,14 @@ class Segments:
         )
 
     def sensitivities(self, at: Course, batch: slice, weight: Array) -> tuple[Array, Array]:
-        """Return derivatives of ends (c, n, v) and weighted residuals, with these: (c, r, v + 1).
+        """Return the derivatives of the c segments of a `batch` by node and active parameters.
 
-        They are those of the c segments of a `batch`, by node and active parameters. The rows are
-        the `weight` times the residuals (k,) of every sample, see `linearize`.
+        The first array (c, n, v) has the derivatives of the ends. The second array (c, r, v + 1)
+        has the derivatives of the weighted residuals, and in its last column these residuals. The
+        rows are the `weight` times the residuals (k,) of every sample, see `linearize`.
         """
-        states, data = (
-            values.reshape(-1, self.length, self.count)[:, :, batch]
-            for values in (at.states, at.data)
-        )
+        states = at.states.reshape(-1, self.length, self.count)[:, :, batch]
+        data = at.data.reshape(-1, self.length, self.count)[:, :, batch]
         q = at.q[:, batch] if self._own else at.q
         columns = data[0].size
         part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
@@ -307,7 +311,7 @@ class Segments:
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
 
-        They are those by the state at the sample and the active parameters.
+        The derivatives are with respect to the state at the sample and the active parameters.
         """
         slopes, _ = _finite(self._evaluate("derivatives", at))
         return np.ascontiguousarray(slopes.reshape(-1, self.n + self.k, slopes.shape[1]).T)
@@ -315,7 +319,7 @@ class Segments:
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
-        Not finite from where the simulation is not.
+        They are not finite from the sample on where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
         return self.propagated(slopes)[1]
@@ -323,10 +327,10 @@ class Segments:
     def propagated(self, slopes: Array) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through c segments.
 
-        Returns those of ends (c, n, v) and rows (c, length, k, v).
+        The slopes are the derivatives of next states and rows (n + k) with respect to the v states
+        and parameters at a sample.
 
-        The slopes are those of next states and rows (n + k) by the v states and parameters at a
-        sample.
+        Returns the derivatives of the ends (c, n, v) and of the rows (c, length, k, v).
         """
         n = self.n
         # CasADi stacks them column by column.
@@ -359,7 +363,7 @@ class Segments:
 
     def batches(self) -> list[slice]:
         """Return slices of segments whose derivatives fit into memory together."""
-        # Equal ones need only one layout of the registers.
+        # Batches of equal size need only one layout of the registers.
         size = math.ceil(self.count / math.ceil(self.count / max(BATCH // self.length, 1)))
         return [slice(first, first + size) for first in range(0, self.count, size)]
 
@@ -373,10 +377,11 @@ def _finite(values: Sequence[Array]) -> list[Array]:
 
 
 class SubstepDerivatives:
-    """Derivatives of the next state and an output, as one function of a sample would give them.
+    """Derivatives of the next state and an output, as one function of a sample would return them.
 
-    They are those by the state and the `active` parameters, and the output is the residual or the
-    simulated one, by their name in `Segments`. Substeps are distinguished by their identity.
+    The derivatives are with respect to the state and the `active` parameters. The output is the
+    residual or the simulated output, depending on the name of the function in `Segments`. Substeps
+    are distinguished by their identity.
     """
 
     def __init__(
@@ -401,14 +406,13 @@ class SubstepDerivatives:
         self._active = len(active)
         begin, self._corrected = _with_slopes(corrected, x, parameters)
         further, self._following = _with_slopes(end, x, parameters)
-        self._begin, self._advance, self._substep = (
-            Columns(ca.Function("substep", inputs, outputs, {"cse": True}), shared)
-            for inputs, outputs in (
-                ([x, q, d], [*begin, by_free, residual]),
-                ([x, q, d, place], [end]),
-                ([x, q, d, place], [*further]),
-            )
-        )
+
+        def columns(inputs: list[ca.SX], outputs: list[ca.SX]) -> Columns:
+            return Columns(ca.Function("substep", inputs, outputs, {"cse": True}), shared)
+
+        self._begin = columns([x, q, d], [*begin, by_free, residual])
+        self._advance = columns([x, q, d, place], [end])
+        self._substep = columns([x, q, d, place], [*further])
 
     def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Sequence[Array]:
         """Return the derivatives ((n + k) v, columns), and the residuals."""
@@ -417,8 +421,9 @@ class SubstepDerivatives:
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
         slopes = _following(_blocks(self._corrected, columns), values, by_parameters, slopes)
         blocks = _blocks(self._following, columns)
-        # The states of some substeps come first: an operation on the columns of all of them takes
-        # hardly longer than on those of one. Equal groups need only one layout of the registers.
+        # The states of a group of substeps are computed first, then the derivatives of all of them
+        # together: an operation on the columns of a group takes hardly longer than on the columns
+        # of one substep. Groups of equal size need only one layout of the registers.
         places = [[[k / substeps - 0.5], [1 / substeps]] for k in range(substeps)]
         rows = np.tile(places, columns)
         for group in np.array_split(rows, math.ceil(substeps / (CHUNK // (columns + 1) + 1))):
@@ -441,17 +446,18 @@ class SubstepDerivatives:
         return [np.hstack([slopes.T, by_free]).reshape(-1, columns), residual]
 
 
-# A function of its own: pickle finds no class under a name that `once` gave to a function, and
-# workers get these derivatives with their solver.
+# This function is separate from the class: workers get these derivatives with their solver, and
+# pickle finds no class under a name that `once` gave to a function.
 substep_derivatives = once(SubstepDerivatives)
 
 
 def _with_slopes(
     value: ca.SX, x: ca.SX, parameters: ca.SX
 ) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.Sparsity]:
-    """Return the value and its derivatives: by x, row by row without zeros, and by the parameters.
+    """Return the value and its derivatives with respect to x and the parameters, and a pattern.
 
-    The pattern is that of the transposed derivatives by x.
+    The derivatives with respect to x are the nonzero entries, row by row. The pattern is the
+    sparsity of the transposed derivatives with respect to x.
     """
     by_state = ca.jacobian(value, x).T
     by_parameters = dense_jacobian(value, parameters)
@@ -462,7 +468,8 @@ def _blocks(pattern: ca.Sparsity, columns: int) -> Any:
     """Return a matrix with a block of this pattern, transposed, for every column."""
     from scipy.sparse import csr_matrix  # noqa: PLC0415  (most models do not need the import)
 
-    n, block = pattern.size1(), np.arange(columns)[:, None]
+    n = pattern.size1()
+    block = np.arange(columns)[:, None]
     ends = (np.array(pattern.colind()[1:]) + pattern.nnz() * block).ravel()
     places = (np.array(pattern.row(), dtype=int) + n * block).ravel()
     values = np.empty(len(places))
@@ -472,7 +479,7 @@ def _blocks(pattern: ca.Sparsity, columns: int) -> Any:
 def _following(blocks: Any, values: Array, by_parameters: Array, slopes: Array) -> Array:
     """Return the derivatives (columns, n, v) after a function with these derivatives.
 
-    The blocks are those of its derivatives by x, whose `values` (entries, columns) are given.
+    The `values` (entries, columns) are its derivatives with respect to x, which fill the blocks.
     """
     columns, n, v = slopes.shape
     blocks.data = values.T.ravel()

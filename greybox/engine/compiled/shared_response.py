@@ -1,4 +1,4 @@
-"""Many responses of one state space: one solve of (jωI - A)⁻¹ a frequency serves them all.
+"""Many responses of one state space, from one solve of (jωI - A)⁻¹ at each frequency.
 
 With S = [[A, B], [C, D]], X = (jωI - A)⁻¹ B and Y = C (jωI - A)⁻¹ the responses are G = C X + D,
 and their derivatives with respect to a parameter are
@@ -186,7 +186,9 @@ class SharedResponses:
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
         cost, gradient, jacobian, second = self._derivatives(z, smoothing, data)
-        left, right = (jacobian.take(rows, -1) for rows in self._second)
+        rows, columns = self._second
+        left = jacobian.take(rows, -1)
+        right = jacobian.take(columns, -1)
         hessian = left @ (right * second.T[:, None]).mT
         return cost, gradient, hessian.reshape(len(hessian), -1).T
 
@@ -214,7 +216,9 @@ class SharedResponses:
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
         # All responses (k, N), and their derivatives (k, p, N).
-        values, slopes = (np.concatenate(piece, -1) for piece in pieces)
+        all_values, all_slopes = pieces
+        values = np.concatenate(all_values, -1)
+        slopes = np.concatenate(all_slopes, -1)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 2)
         gradient = jacobian @ first.T[..., None]
@@ -224,7 +228,8 @@ class SharedResponses:
 def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
     """Return symbols of all responses, real parts before imaginary parts, and each response."""
     ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
-    re, im = (ca.SX.sym(name, ends[-1]) for name in ("re", "im"))
+    re = ca.SX.sym("re", ends[-1])
+    im = ca.SX.sym("im", ends[-1])
     return ca.vertcat(re, im), [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
 
 

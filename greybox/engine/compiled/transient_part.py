@@ -11,12 +11,12 @@ estimated too, linearly: for given parameters it follows by least squares, and w
 errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
 Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
-Where inputs are held, the transforms of sampled outputs differ from Y by what sampling folds back:
-see `folded_back`.
+Where inputs are held, the transforms of sampled outputs differ from Y by aliasing: see
+`folded_back`.
 
-Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs
-what drives the differential equation; then the outputs have the covariance of T⁻¹ times the errors,
-which depends on the parameters.
+Output error compares the outputs. Equation error compares T Y, where T (jω) turns the outputs into
+the forcing of the differential equation. The outputs then have the covariance of T⁻¹ times the
+errors, which depends on the parameters.
 """
 
 import math
@@ -65,7 +65,7 @@ TINY = 1e-300
 
 @frozen
 class Along:
-    """What follows from the parameters of the model.
+    """The model of a manoeuvre at given parameters: outputs, errors, and their derivatives.
 
     Attributes
     ----------
@@ -76,21 +76,21 @@ class Along:
     inverse : (lines, n, n) complex array
         Inverse of jωI - A.
     to_outputs : (lines, k, n + k) complex array
-        Derivatives of the outputs by additions to A X + B U, then to C X + D U.
+        Derivatives of the outputs with respect to additions to A X + B U, then to C X + D U.
     first_slopes : (k, 2 m, q) array
         Derivatives of [C B, D] with respect to the parameters.
     beside : (2 m, lines) complex array
-        What the samples of outputs show of inputs beside their integrals, by [C B, D].
+        Effect of aliased inputs on the sampled outputs, per entry of [C B, D].
     by_delays : (k, m, lines) complex array
-        Derivatives of the outputs by the delays.
+        Derivatives of the outputs with respect to the delays.
     modeled : (k, lines) complex array
         Outputs with the end term.
     transform : (lines, k, k) complex array
-        T.
+        T (jω) of equation error; the identity for output error.
     errors : (k, 2 lines) array
         Real parts, then imaginary parts, in units of the deviation of one sample.
     basis : (k, 2 lines, n) array
-        Derivatives of the errors by the end terms.
+        Derivatives of the errors with respect to the end terms.
     ends : (n,) array
         x(0) - x(T).
     covariance : ResidualCovariance
@@ -125,12 +125,12 @@ class Along:
 
     @cached_property
     def taken(self) -> Array:
-        """Orthonormal basis (2 k lines, n) of what the end terms take from weighted errors."""
+        """Orthonormal basis (2 k lines, n) of the weighted errors that end terms can explain."""
         basis = np.einsum("ka,aln->kln", self.weight, self.basis)
         return column_basis(basis.reshape(self.errors.size, -1))
 
     def with_products(self, products: Array) -> "Along":
-        """Return it with the end terms that are best for other products."""
+        """Return the same model with the end terms that are best for other products."""
         weight = self.covariance.weight(products)
         change = _best_ends(weight, self.errors, self.basis)
         n = len(self.ends)
@@ -152,7 +152,7 @@ class TransientPart(Part):
     ----------
     data : TransientSpectrum
     outputs : tuple of str
-        Those that are compared.
+        The outputs that are compared.
     system : Dynamics
     locate : casadi.Function
         (z) -> the declared parameters q, and their derivatives (q, p).
@@ -174,9 +174,9 @@ class TransientPart(Part):
         gusts = tuple(f"gust_{name}" for name in colored)
         self.states, self.inputs = (*system.states, *gusts), system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
-        self.unknown_initial_states = len(self.states)  # those of the end term
+        self.unknown_initial_states = len(self.states)  # one end term for each state
         self._matrices = _matrices(problem, system, gusts)
-        # A Padé approximation reaches the output at once, which a delay does not.
+        # The output of a Padé approximation responds at once, that of a delay does not.
         delayed = () if problem.delay == "exact" else getattr(problem.model, "delays", self.inputs)
         held = {*self.data.held} - {*delayed}
         self._held = np.array([[name in held] for name in self.inputs])
@@ -188,7 +188,7 @@ class TransientPart(Part):
         self._covariance = residual_covariance_of(
             problem.criterion, self.outputs, self._real(self.measured)
         )
-        # Numbers of each output that the end terms use up.
+        # Degrees of freedom of each output that the end terms use up.
         self.lost = len(self.states) / len(self.outputs)
         self.few = self._covariance.few(self.lost)
         self._noise_group = repr((reference(problem.model), problem.criterion, self.outputs))
@@ -196,27 +196,29 @@ class TransientPart(Part):
     def _real(self, values: ComplexArray) -> Array:
         """Return complex values (k, lines, ...) as real ones (k, 2 lines, ...).
 
-        In units of the standard deviation of one sample.
+        The result is in units of the standard deviation of one sample.
         """
         return real_and_imaginary(values, 1) / self._unit
 
     # --- the errors at given parameters
 
     def along(self, q: Array) -> Along | None:
-        """Return what follows from the parameters q of the model; None where it is not finite."""
+        """Return the model at the parameters q; None where it is not finite."""
         matrices = [matrix.full() for matrix in self._matrices(q)]
         matrix, delays, first, slopes, delay_slopes, first_slopes = matrices
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
-        late = [*map(self.data.delayed_input, self.inputs, delays.ravel().tolist())]
-        inputs, later = np.array(late).reshape(-1, 2, len(self.data)).swapaxes(0, 1)
+        delayed = [*map(self.data.delayed_input, self.inputs, delays.ravel().tolist())]
+        # Each delayed input comes with its derivative with respect to the delay.
+        pairs = np.array(delayed).reshape(-1, 2, len(self.data))
+        inputs, input_slopes = pairs.swapaxes(0, 1)
         pencil = 1j * self.data.omega[:, None, None] * np.eye(n) - A
 
         try:
             inverse = np.linalg.inv(pencil)
             by_ends = C @ inverse
-            # For an equation error, of all states or of the one output; errors drive the last
-            # states: all, or the gusts.
+            # The errors of equation error drive the last states: all states, or the gusts. With
+            # one output, the transform is the characteristic polynomial.
             outputs = np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
             transform: Any = outputs
             if self._is_equation_error and k == 1:
@@ -243,8 +245,8 @@ class TransientPart(Part):
         covariance = self._covariance.along(self._transformed(transform, self.measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
-        by_delays = transfer.transpose(1, 2, 0) * later
-        by_delays += (C @ B)[..., None] * (step * ramps * later + turned * inputs)
+        by_delays = transfer.transpose(1, 2, 0) * input_slopes
+        by_delays += (C @ B)[..., None] * (step * ramps * input_slopes + turned * inputs)
         return Along(
             # CasADi stacks the entries of a matrix column by column.
             slopes=slopes.reshape(*matrix.T.shape, len(q)).swapaxes(0, 1),
@@ -275,7 +277,7 @@ class TransientPart(Part):
         return self._real(np.einsum("lab,bl->al", transform, values))
 
     def modeled_slopes(self, at: Along, by: Array) -> ComplexArray:
-        """Return the derivatives (k, lines, x) of the modeled outputs by x, with end values held.
+        """Return the derivatives (k, lines, x) of the modeled outputs by x, at fixed end values.
 
         `by` (q, x) are the derivatives of the parameters.
         """
@@ -285,16 +287,16 @@ class TransientPart(Part):
         return modeled
 
     def derivatives(self, at: Along, by: Array) -> tuple[Array, Array, Array]:
-        """Return the derivatives of the errors by x, with the end values held.
+        """Return the derivatives of the errors by x, at fixed end values.
 
         `by` (q, x) are the derivatives of the parameters.
 
         Returns
         -------
         mean : (k, 2 lines, x) array
-            Derivatives of the mean of the errors, which the modeled outputs change.
+            Derivatives of the errors through the modeled outputs, at a fixed transform.
         total : (k, 2 lines, x) array
-            Derivatives of the errors.
+            Derivatives of the errors through both the modeled outputs and the transform.
         transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
@@ -335,7 +337,7 @@ class TransientPart(Part):
         turned = np.einsum("ka,labx,bc->lkcx", at.weight, change, np.linalg.inv(at.weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
         variance = real_and_imaginary(hermitian, 1)
-        # Fitting the size of the noise takes up what all variances have in common.
+        # The fitted size of the noise explains the common part of all variances.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
 
@@ -359,7 +361,7 @@ class TransientPart(Part):
 
     def with_products(self, trajectory: Trajectory, products: Array) -> tuple[Trajectory, Array]:
         """Return a trajectory whose noise follows from `products` (k, k), and its own products."""
-        # They are not finite where the model of any of these manoeuvres is not.
+        # The products are not finite where the model of any of these manoeuvres is not finite.
         if not (self.few.any() and all_finite(products)):
             return trajectory, trajectory.products
         at = trajectory.detail.with_products(products)
@@ -385,8 +387,9 @@ class TransientPart(Part):
     def rows(self, trajectory: Trajectory) -> tuple[Array, Array]:
         """Return the residuals (m,) in standard deviations, with their derivatives (m, p) by z.
 
-        The end term is fitted too. By equation error, the residuals are moved as little as makes
-        their product with the derivatives the gradient of the cost, which has logarithms, too.
+        The end term is fitted too. The cost of equation error also has logarithms. Its residuals
+        are therefore changed, as little as possible, so that their product with the derivatives is
+        the gradient of the cost.
         """
         at: Along = trajectory.detail
         mean, _, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
@@ -395,8 +398,9 @@ class TransientPart(Part):
         errors = np.append((at.weight @ at.errors).ravel(), np.zeros(len(variance)))
 
         gradient, hessian = self.linearize(trajectory, at.weight)
-        lacking = gradient - rows.T @ errors
-        return errors + rows @ pseudo_inverse(hessian, 1e-14) @ lacking, rows
+        missing_gradient = gradient - rows.T @ errors
+        correction = rows @ pseudo_inverse(hessian, 1e-14) @ missing_gradient
+        return errors + correction, rows
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the modeled outputs over the root mean square of the measured ones."""
@@ -423,14 +427,16 @@ class TransientPart(Part):
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean, variance])
         fitted = column_basis(np.hstack([mean, at.taken]))
-        # How errors follow slow gusts on each state and each output. Fast ones differ little.
+        # Response of the errors to slow gusts on each state and each output. Fast gusts are hardly
+        # different from white errors.
         gusts = np.einsum("ij,ljk,lks->sil", at.weight, at.transform, at.to_outputs)
         errors = at.weight @ at.errors
         calm, by_line = disturbed_errors(errors, fitted, gusts / self.data.omega)
         shape = len(self.outputs), 2, len(self.data)
         errors, taken = errors.reshape(shape), at.taken.reshape(*shape, -1)
         steady, by_time = louder_times(in_time(errors), in_time(fitted.reshape(*shape, -1)))
-        # Before the data, louder times are as likely as disturbances. Either may be certain.
+        # White errors, a disturbance and louder times have equal prior probabilities. If the data
+        # exclude white errors twice, both probabilities and the denominator underflow to zero.
         louder = calm * (1 - steady) / max(calm + steady - calm * steady, TINY)
         return ManoeuvreInformation(
             mean,
@@ -444,8 +450,8 @@ class TransientPart(Part):
             jacobian=jacobian,
             numbers=self.numbers - len(self.states),
             reach=reach,
-            # So unlikely with white errors are 1 % of 2500 fits with right models, and 91 % of
-            # those in gusts by output error.
+            # White errors are this improbable in 1 % of 2500 fits with right models, and in 91 % of
+            # the output-error fits of manoeuvres in gusts.
             disturbed=calm < 0.2,
         )
 
@@ -459,7 +465,7 @@ class ManoeuvreInformation(Information):
     mean, variance : (rows, k) arrays
         The information in the outputs, and in their variances.
     residuals, taken : (outputs, 2, n) and (outputs, 2, n, columns) arrays
-        Weighted errors, real and imaginary parts, and what the end term takes from them.
+        Weighted errors, real and imaginary parts, and a basis of what the end term explains.
     by_line, by_time : arrays
         Covariance of the sizes of the errors over the lines, and over the time.
     louder : float
@@ -479,17 +485,20 @@ class ManoeuvreInformation(Information):
         return 1.0, self.jacobian
 
     def colored(self, root: Array) -> ColoredErrors:
-        """Return what unequal sizes over the lines, or over the time, make of the errors."""
-        by_lines, dof = self._uneven(root, np.asarray, self.by_line)
-        by_times, other = self._uneven(root, in_time, self.by_time)
-        meat = by_lines + self.louder * (by_times - by_lines)
-        inverse_dof = (1 - self.louder) / dof + self.louder / other
+        """Return the effect of errors of unequal size over the lines, or over the time."""
+        meat_by_line, dof_by_line = self._uneven(root, np.asarray, self.by_line)
+        meat_by_time, dof_by_time = self._uneven(root, in_time, self.by_time)
+        meat = meat_by_line + self.louder * (meat_by_time - meat_by_line)
+        inverse_dof = (1 - self.louder) / dof_by_line + self.louder / dof_by_time
         return ColoredErrors(meat, 1 / inverse_dof if inverse_dof else math.inf)
 
     def _uneven(
         self, root: Array, view: Callable[[Array], Array], covariance: Any
     ) -> tuple[Array, float]:
-        """Return middle matrix and degrees of freedom with the sizes that one view shows."""
+        """Return middle matrix and degrees of freedom for unequal sizes in one view of the errors.
+
+        The view is over the lines, or over the time.
+        """
         rows = (self.mean[:, : len(root)] @ root).reshape(*self.residuals.shape, -1)
         certain = self.variance[:, : len(root)] @ root
         return uneven_errors(
@@ -507,7 +516,8 @@ def compile_manoeuvres(
 ) -> list[TransientPart]:
     """Compile manoeuvres for the point z; `expressions` are all parameters by outside name.
 
-    Where those of few lines have too few numbers together, the next larger ones share the variance.
+    Manoeuvres with few lines share one variance. If they have too few degrees of freedom together,
+    the next larger manoeuvres share it too.
     """
     parts = [TransientPart(problem, expressions, z) for problem in problems]
     for group in grouped(parts, lambda part: part.noise_group):
@@ -531,25 +541,24 @@ def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Fu
 def _matrices(problem: Problem, system: Dynamics, gusts: tuple[str, ...]) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
 
-    In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
-    on average it is seen in time.
+    In [C B, D], D is zero for inputs with delays: what sampling adds to a delayed step jumps where
+    the delay is a whole number of holds, and its mean over all delays is zero.
     """
     model = problem.model
     declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
     x, u, q = system.symbols
     h = system.output(x, u, q)
-    rates, g, time = (
-        system.derivative(x, u, q),
-        ca.SX.sym("g", len(gusts)),
-        ca.SX.sym("T", times.numel()),
-    )
+    rates = system.derivative(x, u, q)
+    g = ca.SX.sym("g", len(gusts))
+    time = ca.SX.sym("T", times.numel())
     if gusts:
         # Each error drives its own equation, or a single one drives all states: the transform T is
         # the same.
         rates += g
     matrix = dense_jacobian(ca.vertcat(rates, -g / time, h), ca.vertcat(x, g, u))
-    n, delays = x.numel() + len(gusts), system.delay(q)
+    n = x.numel() + len(gusts)
+    delays = system.delay(q)
     B, C, D = matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
     undelayed = ca.diag([float(delay.is_zero()) for delay in ca.vertsplit(delays)])
     entries = [matrix, ca.densify(delays), ca.densify(ca.horzcat(C @ B, D @ undelayed))]
@@ -570,13 +579,14 @@ def _without_ends(
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
     last, remaining = math.inf, errors
-    # Weights and end terms follow each other. Each time the change of the cost falls to the share
-    # of the numbers that end terms take up, a tenth or less.
+    # Weights and end terms are computed in turn. In each pass, the change of the cost falls to the
+    # share of the degrees of freedom that the end terms use up: a tenth or less.
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
         ends = _best_ends(weight, errors, basis)
         remaining = errors - basis @ ends
         cost = covariance.cost(remaining @ remaining.T)
+        # The negated comparison also ends the passes at a cost of NaN.
         if len(errors) == 1 or not last - cost > 1e-11 * errors.size:
             break
         last = cost

@@ -27,7 +27,7 @@ class Accuracy:
     x : (p,) array
         The estimate.
     trajectories : (parts,) sequence of Trajectory
-        Those of the parts at the estimate; None without an estimate.
+        Trajectories of the parts at the estimate; None without an estimate.
     covariance : (k, k) array
         Covariance of the free parameters, then the constants, in the directions that the data
         determine. Constants have the covariance of the earlier fit that they come from, or zero.

@@ -93,7 +93,7 @@ def names_at_bound(
             for part, trajectory in zip(nlp.parts, trajectories, strict=True)
         )
         outward = np.where(is_low, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
-        # By more than a hundredth of the standard deviation that noise gives the gradient. In a
+        # The outward gradient must exceed a hundredth of its standard deviation from noise. In a
         # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)
     return tuple(compress(nlp.free, held))

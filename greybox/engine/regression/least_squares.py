@@ -30,25 +30,29 @@ class Rows:
 
     def solution(self, weights: Array, low: Array, high: Array) -> Array:
         """Return the unknowns of least squares within bounds, with a weight for each equation."""
-        of_rows = weights[self.equation]
-        return solve(of_rows[:, None] * self.slopes, of_rows * (self.target - self.base), low, high)
+        row_weights = weights[self.equation]
+        slopes = row_weights[:, None] * self.slopes
+        return solve(slopes, row_weights * (self.target - self.base), low, high)
 
     def spread(self, errors: Array, count: int) -> Array:
         """Return the rms error of `count` equations, at least the rounding error of their targets.
 
-        It is one for an equation whose target and errors are zero: any other number would do.
+        An equation whose target and errors are zero gets one, since no scale would matter.
         """
-        size, squares, power = (
-            np.bincount(self.equation, values, minlength=count)
-            for values in (None, errors**2, self.target**2)
-        )
+        size = np.bincount(self.equation, minlength=count)
+        squares = np.bincount(self.equation, errors**2, minlength=count)
+        power = np.bincount(self.equation, self.target**2, minlength=count)
         # Smaller squares of residuals are rounding errors.
         total = squares + 1e-24 * power
         return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
 
 
 def undetermined(slopes: Array) -> list[tuple[int, ...]]:
-    """Return the columns without effect, and sets of columns with a combination without effect."""
+    """Return groups of columns whose unknowns cannot be determined separately.
+
+    A group of one column is a column of zeros, without any effect. In a larger group, a combination
+    of the columns has no effect.
+    """
     from scipy.linalg import null_space  # noqa: PLC0415  (imports slowly)
 
     # The triangular factor has the singular values of all rows, which may be many thousands.
@@ -59,7 +63,8 @@ def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     if not nonzero.size:
         return zero
 
-    # About the root of the rounding error, where normal equations would lose a combination.
+    # The limit of 1e-7 is about the square root of the rounding error: normal equations would lose
+    # a combination with a smaller singular value.
     open_directions = null_space(triangle[:, nonzero] / sizes[nonzero], 1e-7)
     share = np.linalg.norm(open_directions, axis=1)
     # Smaller shares of a column in such a combination are rounding errors.
@@ -73,6 +78,7 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
 
     if not slopes.shape[1]:
         return np.zeros(0)
+    # The triangular factor of the augmented matrix states the same least squares in few rows.
     triangle = triangle_of(np.column_stack([right, slopes]))
     right, matrix = triangle[:, 0], triangle[:, 1:]
     # The least-norm solution of columns of length one does not depend on units.
@@ -80,5 +86,7 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
     bounded = lsq_linear(
         matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
     )
-    at_low, at_high = bounded.active_mask < 0, bounded.active_mask > 0
-    return np.where(at_low, low, np.where(at_high, high, np.clip(bounded.x / sizes, low, high)))
+    unknowns = np.clip(bounded.x / sizes, low, high)
+    # An active bound is met exactly, without the rounding of the scale.
+    unknowns = np.where(bounded.active_mask > 0, high, unknowns)
+    return np.where(bounded.active_mask < 0, low, unknowns)

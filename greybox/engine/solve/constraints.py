@@ -68,14 +68,14 @@ class Limits:
     def linearized(self, z: Array, held: BoolArray | bool = False) -> tuple[Array, Array]:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
-        Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
-        back to one that is violated.
+        Variables that are `held` (p,) do not move. A step that satisfies the limits also leads back
+        to a linearized constraint that is violated at z.
         """
         value, normal = self._at(z)
 
         # A point may lie beyond a bound by rounding: no step need lead back.
-        rooms = (self.low - z, z - self.high)
-        low, high = (np.where(held, 0.0, np.minimum(room, 0.0)) for room in rooms)
+        low = np.where(held, 0.0, np.minimum(self.low - z, 0.0))
+        high = np.where(held, 0.0, np.minimum(z - self.high, 0.0))
         eye = np.eye(len(z))
         rows = np.vstack([eye, -eye, normal])
         limits = np.concatenate([low, high, -value])

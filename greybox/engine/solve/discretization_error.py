@@ -18,7 +18,6 @@ from greybox.data.files.arrays import Array, all_finite, positive_or_one, real_r
 from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.compiled.part import Part, Trajectory
-from greybox.engine.compiled.record_part import RecordPart
 from greybox.engine.solve.interruption import stop_requested
 from greybox.engine.solve.local_solver import LocalSolver
 from greybox.engine.solve.minima import Multistart, distinct_ends, find_minima, minimum_of
@@ -144,18 +143,15 @@ def refine_discretization(
 
 
 def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
-    """Return the factor on the steps that leaves an invisible error, as far as it is cheap."""
+    """Return the factor on the number of steps that makes the error invisible, if it is cheap."""
     # The errors of implicit steps are limited where they are made.
     if nlp.method.scheme.implicit or error.largest <= INVISIBLE_SHIFT:
         return 1
     growth = substep_growth(error.largest, INVISIBLE_SHIFT, error.order)
     growth = min(growth, MOST_SUBSTEPS // nlp.substeps)
-    operations = sum(
-        part.samples * part.substeps * part.step.substep.n_instructions()
-        for part in nlp.parts_of(RecordPart)
-    )
-    # Such a simulation takes some 10 ms. Records of fewer than 1000 samples that need it take up to
-    # twice the time.
+    operations = sum(part.operations for part in nlp.parts)
+    # A simulation of 5 million operations takes some 10 ms. Fits of records with fewer than 1000
+    # samples that need finer steps take up to twice the time.
     return max(min(growth, 5_000_000 // max(operations, 1)), 1)
 
 
@@ -249,8 +245,8 @@ def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[
 
 
 def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
-    # Not at the ends of the segments alone: what an input excites may have died away there.
-    # Relative to the largest value, since a state may pass through zero.
+    # All samples are compared, since a response to an input may have decayed at the ends of the
+    # segments. Changes are relative to the largest value, since a state may pass through zero.
     size = np.abs(trajectory.states).max(axis=1, initial=0.0)
     changes = np.hstack([finer.states - trajectory.states, (finer.ends - trajectory.ends).T])
     return bool(np.all(np.abs(changes).max(axis=1, initial=0.0) <= 1e-7 * size))
@@ -268,6 +264,9 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
 
 def _widened(coarse: Array, fine: Array) -> Array:
     """Return the factor on each standard error (p,) less one, with the other parameters known."""
-    a, b = (np.maximum(np.diag(H), TINY) for H in (coarse, fine))
-    # Also where it becomes infinite: an alias of a slow mode has died away before the next sample.
-    return np.where(a > TINY, np.expm1(np.abs(np.log(b) - np.log(a)) / 2), 0.0)
+    coarse_curvature = np.maximum(np.diag(coarse), TINY)
+    fine_curvature = np.maximum(np.diag(fine), TINY)
+    # The standard error may become infinite: with fine steps, an alias of a slow mode decays before
+    # the next sample.
+    log_ratio = np.abs(np.log(fine_curvature) - np.log(coarse_curvature))
+    return np.where(coarse_curvature > TINY, np.expm1(log_ratio / 2), 0.0)

@@ -187,11 +187,12 @@ class Ipopt:
     @cached_property
     @one_thread_at_a_time
     def _hessian(self) -> ca.Function:
-        """Return the Hessian that IPOPT takes, also if an option of IPOPT approximates it."""
+        """Return the exact Hessian, also if an option of IPOPT approximates it."""
         _ = self.solver
         if "hess_lag" in self._derivatives:
             return self._derivatives["hess_lag"]
-        x, p, f, g = (self._statement[name] for name in "xpfg")
+        x, p = self._statement["x"], self._statement["p"]
+        f, g = self._statement["f"], self._statement["g"]
         multipliers = type(g).sym("multipliers", g.numel())
         scale = type(g).sym("scale")
         upper = ca.triu(scale * ca.hessian(f, x)[0])

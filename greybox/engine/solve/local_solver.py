@@ -1,4 +1,4 @@
-"""The interface of every solver: a run from one start, and whatever else a search needs."""
+"""The interface of every solver: a run from one start, and the other steps of a search."""
 
 import math
 from abc import ABC, abstractmethod
@@ -21,7 +21,7 @@ from greybox.engine.solve.stationarity import is_above
 
 @frozen
 class Profile:
-    """The best hidden unknowns of every part at given parameters: those of the smallest cost."""
+    """The hidden unknowns of every part that minimize the cost at given parameters."""
 
     trajectories: tuple[Trajectory, ...]
     cost: float
@@ -29,12 +29,12 @@ class Profile:
 
 
 class Runner(Rebuilt, ABC):
-    """An object that makes runs, here or on workers, each from a row of numbers.
+    """Makes one run for each start, in this process or in worker processes.
 
     Attributes
     ----------
     together : int
-        Number of runs that it makes at once.
+        Number of runs in a batch.
     """
 
     together: int = 1
@@ -48,13 +48,14 @@ class Runner(Rebuilt, ABC):
         return [self.run(start) for start in starts]
 
     def without_end(self, start: Array, status: str) -> Outcome:
-        """Return the outcome of a run from `start` (s,) that ended nowhere."""
-        return Outcome(start, status, 0, 0.0, converged=False, cost=math.inf)
+        """Return the outcome of a failed run from `start` (s,), which has no end."""
+        return Outcome(start, status, iterations=0, seconds=0.0, converged=False, cost=math.inf)
 
     def outcomes(self, starts: Array) -> Outcomes:
-        """Make the runs from the rows of `starts` (r, s); one that raises an error fails alone.
+        """Make the runs from the rows of `starts` (r, s).
 
-        The status of its outcome has the error.
+        If a run raises an error, only this run fails, and the status of its outcome states the
+        error.
         """
         try:
             return self.run_together(starts)
@@ -63,6 +64,7 @@ class Runner(Rebuilt, ABC):
             raise_interrupt(error)
             if len(starts) == 1:
                 return [self.without_end(starts[0], f"{RAISED}: {error_sentence(error)}")]
+        # A batch in which some run failed is repeated, one start at a time.
         return [outcome for start in starts for outcome in self.outcomes(start[None])]
 
 
@@ -85,7 +87,7 @@ class Screened:
 class LocalSolver(Runner):
     """A solver of one compiled problem, built once for all starts, which are parameters (p,).
 
-    Another process receives its problem and its options, and builds it again.
+    A worker process receives the problem and the options, and builds the solver again.
 
     Attributes
     ----------
@@ -102,7 +104,7 @@ class LocalSolver(Runner):
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
-        """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
+        """Return the best nodes at the parameters x (p,); known `nodes` are used as they are."""
 
     def is_finite_at(self, start: Array) -> bool:
         """Return whether a run can begin at the parameters `start` (p,)."""
@@ -113,11 +115,11 @@ class LocalSolver(Runner):
         return None
 
     def near(self, x: Array, nodes: Sequence[Array] | None = None) -> Outcome:
-        """Return the run from parameters x (p,) near a minimum, with its nodes if known."""
+        """Run from parameters x (p,) near a minimum, and from its nodes if they are known."""
         return self.run(x)
 
     def continued(self, outcome: Outcome) -> Outcome:
-        """Return a run that did not converge with more iterations, if the solver can."""
+        """Continue a run that did not converge, if the solver can; else return it unchanged."""
         return outcome
 
     def judged(self, outcomes: Outcomes) -> Outcomes:
@@ -125,7 +127,7 @@ class LocalSolver(Runner):
         return outcomes
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
-        """Return outcomes that replace runs, by number: every minimum needs a certified run."""
+        """Return outcomes that replace runs, by index: every minimum needs a certified run."""
         return {}
 
     def with_problem(self, nlp: CompiledProblem) -> "LocalSolver":
@@ -133,36 +135,33 @@ class LocalSolver(Runner):
         raise NotImplementedError
 
     def polished(self, search: Multistart) -> Multistart:
-        """Return the search with its best minimum as exact as the arithmetic allows."""
+        """Return the search with its best minimum refined to the precision of the arithmetic."""
         return search
 
 
 class Descent(LocalSolver):
-    """A solver of which no run ends above the stated cost of its start.
+    """A solver whose runs never end above the stated cost of their starts.
 
-    Barriers, smoothing, other criteria, weights and soft continuity lead its runs to good minima,
-    but may lead them away from a better one at the start.
+    Barriers, smoothing, other criteria, weights and soft continuity guide its runs to good minima,
+    but may guide a run away from a better minimum at its start.
     """
 
     @abstractmethod
     def led(self, starts: Array) -> Outcomes:
-        """Return the runs from the rows of `starts` (r, p), however they are led to minima.
-
-        Costs are the stated ones.
-        """
+        """Return the guided runs from the rows of `starts` (r, p), with their stated costs."""
 
     @abstractmethod
     def descended(self, starts: Array) -> Outcomes:
-        """Return where the stated cost alone leads from the rows of `starts` (r, p).
+        """Return unguided runs, on the stated cost alone, from the rows of `starts` (r, p).
 
-        None that counts as converged ends higher, but for the smoothing.
+        A converged run ends no higher than its start, except for the error of the smoothing.
         """
 
     @abstractmethod
     def costs_at(self, starts: Array, ends: Outcomes) -> Array:
         """Return the stated costs (r,) at the starts (r, p) of runs with these ends.
 
-        They are infinite where a constraint is missed, or a start surely costs more than the end.
+        A cost is infinite if the start violates a constraint, or surely costs more than the end.
         """
 
     def run(self, start: Array) -> Outcome:
@@ -174,14 +173,18 @@ class Descent(LocalSolver):
         return self._no_higher(starts) if self.together > 1 else super().run_together(starts)
 
     def _no_higher(self, starts: Array) -> Outcomes:
-        """Return the runs from `starts` (r, p); those that are led higher begin again, unguided."""
+        """Return the runs from `starts` (r, p).
+
+        A guided run that ends above its start is made again without guidance.
+        """
         outcomes = self.led(starts)
-        begun = self.costs_at(starts, outcomes)
-        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
+        start_costs = self.costs_at(starts, outcomes)
+        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, start_costs[k])]
         direct = self.descended(starts[above]) if above else []
         for k, end in zip(above, direct, strict=True):
-            # A descent lowers the smoothed cost: the minimum of the stated one is then nearer here.
-            if is_above(end.cost, begun[k]):
-                end = replace(end, estimate=starts[k], cost=begun[k])  # noqa: PLW2901
+            # A descent lowers the smoothed cost, and may still end at a higher stated cost. The
+            # start is then nearer to the minimum.
+            if is_above(end.cost, start_costs[k]):
+                end = replace(end, estimate=starts[k], cost=start_costs[k])  # noqa: PLW2901
             outcomes[k] = spent(end, outcomes[k])
         return outcomes

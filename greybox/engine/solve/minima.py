@@ -125,7 +125,7 @@ def agreeing_runs(
     if len(responses) == len(nlp.parts) and explains_nothing(best, zero):
         return ()
     limit = best + 0.1 * likelihood_unit(nlp, best)
-    # By cost alone: the data cannot distinguish these ends, whatever their responses.
+    # Only the costs are compared: the data cannot distinguish these ends, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))

@@ -4,8 +4,8 @@ An iteration takes some hundred array operations. For a few searches each operat
 microsecond, ten times as long as its arithmetic. As two CasADi functions they are evaluated for all
 searches by two calls, see `greybox.engine.compiled.vectorized`.
 
-The numbers of a search of p variables are a column: first the scalars at the rows named here, then
-the vectors of `Vectors`.
+The state of a search of p variables is a column of numbers: first the scalars at the rows named
+here, then the vectors of `Vectors`.
 """
 
 from itertools import pairwise, starmap
@@ -82,8 +82,9 @@ def advanced(p: int, loose: float) -> ca.Function:  # noqa: PLR0915  (one iterat
     inputs = [numbers, *(ca.SX.sym("v", size) for size in (1, 1, 1, p, p * p))]
     _, barrier, tolerance, trial_cost, slopes, curvatures = inputs
     lower, upper = numbers[rows.lower], numbers[rows.upper]
-    z, trial, gradient = (numbers[at] for at in (rows.z, rows.trial, rows.gradient))
-    hessian, new_hessian = ca.reshape(numbers[rows.hessian], p, p), ca.reshape(curvatures, p, p)
+    z, trial, gradient = numbers[rows.z], numbers[rows.trial], numbers[rows.gradient]
+    hessian = ca.reshape(numbers[rows.hessian], p, p)
+    new_hessian = ca.reshape(curvatures, p, p)
     old, radius, switched = numbers[COST], numbers[RADIUS], numbers[SWITCHED]
     level = numbers[LEVEL] + switched
 
@@ -180,18 +181,19 @@ def bounded(p: int) -> ca.Function:
 
 
 def _is_rounding(gradient: ca.SX, newton: ca.SX, cost: ca.SX, tolerance: ca.SX) -> ca.SX:
-    """Return whether rounding hides the decrease that Newton's step (p,) promises.
+    """Return whether the decrease predicted for Newton's step (p,) is below rounding.
 
-    At a light mode with small errors, the gradient is rounded to more than any tolerance.
+    At a lightly damped mode with small errors, rounding makes the gradient exceed any tolerance.
     """
     promise = -0.5 * ca.dot(gradient, newton)
     return promise <= INVISIBLE * tolerance * ca.fabs(cost)
 
 
 def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
-    """Return 1 for the variables that no bound holds, 0 for the others."""
-    below, above = ca.logic_and(z <= lower, gradient > 0), ca.logic_and(z >= upper, gradient < 0)
-    return ca.logic_not(ca.logic_or(below, above))
+    """Return 1 for the variables without an active bound, 0 for the others."""
+    at_lower = ca.logic_and(z <= lower, gradient > 0)
+    at_upper = ca.logic_and(z >= upper, gradient < 0)
+    return ca.logic_not(ca.logic_or(at_lower, at_upper))
 
 
 def _moved(

@@ -224,7 +224,7 @@ class Objective(Rebuilt):
     def gradient(self, point: Point) -> Array:
         """Return the derivatives (p,) of the cost, or (r, p); not finite where it has none."""
         x = self._parameters(point)
-        gradients = self._costs.gradients(self.to_scaled(x))
+        gradients = self._costs.gradients(x)
         if not self.is_scaled:
             gradients = gradients * self.nlp.scaling.slope(x)
         return gradients if self._is_many(point) else gradients[0]
@@ -236,13 +236,12 @@ class Objective(Rebuilt):
         those of Gauss and Newton, JᵀJ.
         """
         x = self._parameters(point)
-        z = self.to_scaled(x)
-        hessians = self._costs.hessians(z)
+        hessians = self._costs.hessians(x)
         if not self.is_scaled:
             slope = self.nlp.scaling.slope(x)
             hessians = hessians * slope[:, :, None] * slope[:, None, :]
             if self._costs.is_exact:
-                bend = self._costs.gradients(z) * self.nlp.scaling.bend(x)
+                bend = self._costs.gradients(x) * self.nlp.scaling.bend(x)
                 hessians = hessians + bend[:, :, None] * np.eye(len(self.names))
         return hessians if self._is_many(point) else hessians[0]
 

@@ -48,7 +48,9 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     away = costs[1:] > limit
     held = held[:, away]
     z = alike.scaling.to_solver(starts[1:][away]).T
-    low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)
+    lower, upper = alike.bounds
+    low = np.where(held, z, lower[:, None])
+    high = np.where(held, z, upper[:, None])
     # Approximate ends suffice, since runs begin there: kinks of the cost are rounded off.
     search = partial(
         BatchedNewton.of(alike, alike.programs[-1]).minimize,

@@ -10,7 +10,8 @@ from greybox.engine.compiled.compiled_problem import CompiledProblem
 class PointCosts(ABC):
     """The cost of a compiled problem with its derivatives, for one thread.
 
-    Parameters are x (p,), the solver's variables z (p,); several points are rows (r, p).
+    Points are parameters x (p,), or rows (r, p) of them. Derivatives of the cost are those by the
+    solver's variables z, in which it is closer to a parabola.
 
     Attributes
     ----------
@@ -32,12 +33,12 @@ class PointCosts(ABC):
         """Return the costs (r,) at x (r, p); infinite where there is none."""
 
     @abstractmethod
-    def gradients(self, z: Array) -> Array:
-        """Return the gradients (r, p) by z, at z (r, p); NaN where there is none."""
+    def gradients(self, x: Array) -> Array:
+        """Return the gradients (r, p) by z, at x (r, p); NaN where there is none."""
 
     @abstractmethod
-    def hessians(self, z: Array) -> Array:
-        """Return the Hessians (r, p, p) by z, at z (r, p); NaN where there is none."""
+    def hessians(self, x: Array) -> Array:
+        """Return the Hessians (r, p, p) by z, at x (r, p); NaN where there is none."""
 
     @abstractmethod
     def residuals(self, x: Array) -> Array:

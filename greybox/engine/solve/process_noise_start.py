@@ -44,7 +44,7 @@ class ProcessNoise:
             # frequencies of their own, they are interpolated at as many as the longest has.
             longest = max(len(at) for _, (*_, at) in system.pairs)
             omega = system.omega[evenly_spread(len(system.omega), longest)][::step]
-            # By frequency, input and output; weights are zero where nothing is measured.
+            # The axes are frequency, input and output. Weights are zero where nothing is measured.
             measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:
                 order = np.argsort(at)

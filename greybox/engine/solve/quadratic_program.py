@@ -10,9 +10,9 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
 
     H (p, p) is positive semidefinite.
 
-    By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974),
-    Solving Least Squares Problems, chapter 23. Where the limits contradict one another, the step
-    that ignores them is returned.
+    The program is solved as a least distance problem, by nonnegative least squares. Source: Lawson
+    and Hanson (1974), Solving Least Squares Problems, chapter 23. Where the limits contradict
+    one another, the step that ignores them is returned.
     """
     p = len(gradient)
     scale = 1 / np.sqrt(positive_or_one(np.diag(hessian)))

@@ -115,18 +115,19 @@ class RecordCosts(PointCosts):
         """Return the costs (r,) at x (r, p)."""
         return np.array([self.at(point).cost for point in x])
 
-    def gradients(self, z: Array) -> Array:
-        """Return the gradients (r, p) at z (r, p)."""
-        return np.array([self._quadratic(point)[0] for point in z])
+    def gradients(self, x: Array) -> Array:
+        """Return the gradients (r, p) by z, at x (r, p)."""
+        return np.array([self._quadratic(point)[0] for point in x])
 
-    def hessians(self, z: Array) -> Array:
-        """Return the Gauss-Newton Hessians (r, p, p) at z (r, p)."""
-        return np.array([self._quadratic(point)[1] for point in z])
+    def hessians(self, x: Array) -> Array:
+        """Return the Gauss-Newton Hessians (r, p, p) by z, at x (r, p)."""
+        return np.array([self._quadratic(point)[1] for point in x])
 
     @DIVERGING
-    def _quadratic(self, z: Array) -> tuple[Array, Array]:
-        point = self.at(self.nlp.scaling.to_parameters(z))
-        p = len(z)
+    def _quadratic(self, x: Array) -> tuple[Array, Array]:
+        """Return the gradient (p,) and the Hessian (p, p) by z, at x (p,)."""
+        point = self.at(x)
+        p = len(x)
         if not math.isfinite(point.cost):
             return np.full(p, math.nan), np.full((p, p), math.nan)
 

@@ -33,21 +33,21 @@ class ResponseCosts(PointCosts):
         costs = self.nlp.costs(x)
         return np.where(np.isfinite(costs), costs, np.inf)
 
-    def gradients(self, z: Array) -> Array:
-        """Return the gradients (r, p) at z (r, p)."""
-        _, gradients = self._program.first_order(*self._inputs(z))
+    def gradients(self, x: Array) -> Array:
+        """Return the gradients (r, p) by z, at x (r, p)."""
+        _, gradients = self._program.first_order(*self._inputs(x))
         return self._program.unit * gradients.T
 
-    def hessians(self, z: Array) -> Array:
-        """Return the Hessians (r, p, p) at z (r, p), exact ones."""
-        count, p = z.shape
-        *_, hessians = self._program.whole_second_order(*self._inputs(z))
+    def hessians(self, x: Array) -> Array:
+        """Return the Hessians (r, p, p) by z, at x (r, p), exact ones."""
+        count, p = x.shape
+        *_, hessians = self._program.whole_second_order(*self._inputs(x))
         return self._program.unit * hessians.reshape(p, p, count).transpose(2, 1, 0)
 
-    def _inputs(self, z: Array) -> list[Array]:
-        """Return the inputs of the derivatives at z (r, p), a column for each point."""
-        ones = np.ones((1, len(z)))
-        inputs = [z.T, SMOOTHING * ones, self.nlp.data[:, None] * ones]
+    def _inputs(self, x: Array) -> list[Array]:
+        """Return the inputs of the derivatives at x (r, p), a column for each point."""
+        ones = np.ones((1, len(x)))
+        inputs = [self.nlp.scaling.to_solver(x).T, SMOOTHING * ones, self.nlp.data[:, None] * ones]
         if self._roots is not None:
             inputs.append(self._roots(inputs[0], inputs[2])[0])
         return inputs

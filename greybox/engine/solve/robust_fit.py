@@ -7,7 +7,6 @@ from dataclasses import replace
 from greybox.data.files.arrays import Array
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.compiled.part import Trajectory
-from greybox.engine.compiled.record_part import RecordPart
 from greybox.engine.solve.discretization_error import with_finer_steps
 from greybox.engine.solve.local_solver import LocalSolver
 from greybox.engine.solve.minima import Multistart
@@ -51,7 +50,7 @@ def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:
 
 
 def _is_robust(nlp: CompiledProblem) -> bool:
-    return any(part.model.has_bounded_errors for part in nlp.parts_of(RecordPart))
+    return any(part.has_bounded_errors for part in nlp.parts)
 
 
 def _pseudo_values(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> CompiledProblem:

@@ -35,7 +35,7 @@ class Beginning:
         Process noise over the derivatives of the states, with relative errors of one in the
         responses.
     barriers : (levels,) array
-        Of the bounds, from the first to the last level.
+        Factors of the barrier at the bounds, from the first to the last level.
     """
 
     noise: float
@@ -89,7 +89,7 @@ def beginnings(count: int) -> IntArray:
 class SharedSolver(ResponseSolver):
     """Newton's method on the shared cost, from starts with process noise."""
 
-    # All are run where the promising ones disagree, as with states that the outputs hardly show.
+    # All starts are run where the promising ones disagree, as with weakly observable states.
     # With 32, 26 of 28 fits of two flexible modes at 15 % noise were right, in as much time.
     starts = 128
     # All five agree on the minimum of a helicopter. Where four of five, or of eight, sufficed, one

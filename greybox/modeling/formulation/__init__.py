@@ -30,6 +30,7 @@ Begin with `problem`.
 | `starts` | where the runs of a search begin |
 """
 
+from greybox.modeling.disturbance import Disturbance as Disturbance
 from greybox.modeling.formulation.error_covariance import ErrorCovariance as ErrorCovariance
 from greybox.modeling.formulation.frequency_criteria import (
     Criterion as Criterion,

@@ -19,7 +19,7 @@ class DataKind(ABC):
     criterion_class : type
         The class of all criteria for them.
     criteria : tuple of AnyCriterion
-        The included criteria; the first is the usual one.
+        The included criteria; the first is the usual one, unless the data say more.
     noun, plural : str
         What the data are in a sentence, with the article, and several of them.
     has_operating_point : bool
@@ -32,6 +32,10 @@ class DataKind(ABC):
     noun: ClassVar[str]
     plural: ClassVar[str]
     has_operating_point: ClassVar[bool] = True
+
+    def usual_criterion(self, data: Any) -> AnyCriterion:
+        """Return the criterion of a problem that states none."""
+        return self.criteria[0]
 
     @abstractmethod
     def added_parameters(self, model: Model, data: Any, criterion: Any) -> Parameters:

@@ -12,7 +12,8 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import attributes
 from greybox.data.files.normalization import normalize
 from greybox.data.record import Record
-from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
+from greybox.modeling.colored_disturbance import ColoredDisturbance, driven_by, undisturbed
+from greybox.modeling.disturbance import Disturbance, stated_disturbance
 from greybox.modeling.formulation.criterion import AnyCriterion
 from greybox.modeling.formulation.error_covariance import EstimatedVariances
 from greybox.modeling.formulation.output_error import OutputError
@@ -47,10 +48,11 @@ class PredictionError(TimeCriterion):
         state per √s, as in `virtual_flight`. The noise of the sensors is white, too, with a
         standard deviation ``v_<output>``. The filter is that of the linearization about the means
         of the record; a sample at which an output is missing is not compared.
-    disturbance : mapping of str to 'colored'
+    disturbance : mapping of str to 'colored' or Disturbance
         The states whose derivatives have a gust, a further state ``gust_<state>`` that white noise
-        of intensity ``w_gust_<state>`` drives with the time constant ``T_gust_<state>``. An output
-        that contains such a derivative, such as an acceleration, contains the gust, too.
+        of intensity ``w_gust_<state>`` drives with the time constant ``T_gust_<state>``; another
+        spectrum is a `gb.formulation.Disturbance` of your own. An output that contains such a
+        derivative, such as an acceleration, contains the gust, too.
 
     Examples
     --------
@@ -64,7 +66,7 @@ class PredictionError(TimeCriterion):
 
     corrected: Sequence[str] = ()
     process_noise: Sequence[str] = ()
-    disturbance: Mapping[str, str] = field(default_factory=dict)
+    disturbance: Mapping[str, str | Disturbance] = field(default_factory=dict)
     rule = "prediction error, one sample ahead"
     condition = "stationary innovations that no past input or output predicts"
     corrects_states = True
@@ -73,8 +75,10 @@ class PredictionError(TimeCriterion):
         """Check the options."""
         super().__post_init__()
         normalize(self, process_noise=as_names(self.process_noise))
-        if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
+        if not isinstance(self.disturbance, Mapping):
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
+        stated = {state: stated_disturbance(color) for state, color in self.disturbance.items()}
+        normalize(self, disturbance=stated)
         if self.driven() and self.corrected:
             raise ValueError(
                 "process_noise and disturbance say which states are corrected: leave out corrected."
@@ -87,15 +91,18 @@ class PredictionError(TimeCriterion):
             )
 
     def disturbed(self, model: Model, record: Record) -> Model:
-        """Return the model with a state for every colored disturbance.
+        """Return the model with the states of every disturbance.
 
-        Its time constant lies between a sample, below which it is white, and the record.
+        Their time constants lie between a sample, below which they are white, and the record.
         """
-        own: Any = undisturbed(model)
-        if not self.disturbance or not own.state_names:
-            return own
-        bounds = record.step, record.duration
-        return ColoredDisturbance(own, *((state, bounds) for state in self.disturbance))
+        plain: Any = undisturbed(model)
+        if not self.disturbance or not plain.state_names:
+            return plain
+        times = record.step, record.duration
+        disturbed = [(state, times) for state in self.disturbance]
+        own = {s: color for s, color in self.disturbance.items() if isinstance(color, Disturbance)}
+        # A stored model names its arguments: those of included disturbances are plain.
+        return ColoredDisturbance(plain, *disturbed, **({"own": own} if own else {}))
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds: biases, and gains or sizes of noise."""
@@ -138,7 +145,7 @@ class PredictionError(TimeCriterion):
 
     def driven(self) -> tuple[str, ...]:
         """Return the states with process noise."""
-        return (*self.process_noise, *map(gust_on, self.disturbance))
+        return (*self.process_noise, *driven_by(self.disturbance))
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""

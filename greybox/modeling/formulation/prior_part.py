@@ -49,19 +49,32 @@ def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
 
 def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
     """Return the priors of the parts of a problem, each once."""
-    priors = {
-        (prior.names, prior.mean.tobytes(), prior.covariance.tobytes()): prior
-        for part in problem.parts
-        for prior in part.priors
-    }
-    names = [name for prior in priors.values() for name in prior.names]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
+    priors: list[NormalPrior] = []
+    for part in problem.parts:
+        for prior in part.priors:
+            if not any(_are_equal(prior, other) for other in priors):
+                priors.append(prior)
+
+    names: list[str] = []
+    for prior in priors:
+        names += prior.names
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        name = repeated[0]
         raise ValueError(
-            f"two parts have different priors of {twice[0]!r}: give it in one of them, or give one "
-            f"parameter another name, rename={{{twice[0]!r}: ...}}."
+            f"two parts have different priors of {name!r}: give it in one of them, or give one "
+            f"parameter another name, rename={{{name!r}: ...}}."
         )
-    return [*priors.values()]
+    return priors
+
+
+def _are_equal(prior: NormalPrior, other: NormalPrior) -> bool:
+    """Return whether two priors have the same names and numbers."""
+    return (
+        prior.names == other.names
+        and np.array_equal(prior.mean, other.mean)
+        and np.array_equal(prior.covariance, other.covariance)
+    )
 
 
 def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:
@@ -78,18 +91,19 @@ def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:
     def output(self: Any, x: Any, u: Any, p: Any) -> tuple[Any, ...]:
         return tuple(combination.value(p) for combination in combinations)
 
-    declared = {
-        name: replace(parameters[name], prior=None) for prior in priors for name in prior.names
-    }
-    body = {
+    body: dict[str, Any] = {
         "__doc__": "A-priori knowledge of the parameters.",
         "states": (),
         "inputs": (),
         "outputs": names,
+        "output": output,
     }
+    for prior in priors:
+        for name in prior.names:
+            body[name] = replace(parameters[name], prior=None)
     # The prior becomes a static model whose outputs are the combinations. Solvers and statistics
     # then need no code for priors.
-    model = type("Prior", (StateSpace,), {**body, **declared, "output": output})
+    model = type("Prior", (StateSpace,), body)
     measured = {}
     for name, combination in zip(names, combinations, strict=True):
         measured[name] = np.array([combination.mean])

@@ -57,9 +57,10 @@ class Problem(Addable):
         spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
         than one record or response, see `several`.
     criterion : Criterion or TimeCriterion, optional
-        By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
-        spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
-        for a response is `RelativeLikelihood`, see `Sum`.
+        By default `MaximumLikelihood` for a response with variances, `RelativeError` (4.26) for
+        one without, and `OutputError` for a record or a spectrum; a spectrum takes `EquationError`
+        as well. In a sum with a likelihood the default for a response without variances is
+        `RelativeLikelihood`, see `Sum`.
     fixed : mapping of name to value, or a Fit
         Parameters held constant. A `Fit`, by itself or as the value of a name, gives its estimate,
         and its covariance widens the standard errors here.
@@ -95,7 +96,7 @@ class Problem(Addable):
         Normal prior of free parameters; a `Fit` gives its estimate and covariance. It overrides
         `Parameter(prior=...)`. The estimate is then the maximum a posteriori one, and
         `Fit.prior_share` is the share of the prior in the information. Criteria must be
-        likelihoods; the default for a response is then `RelativeLikelihood`.
+        likelihoods; the default for a response without variances is then `RelativeLikelihood`.
 
     Raises
     ------
@@ -153,7 +154,7 @@ class Problem(Addable):
     def _fill_in_defaults(self) -> None:
         """Choose criterion and name, and give data, model and names their final form."""
         kind = self.kind
-        usual = kind.criteria[0]
+        usual = kind.usual_criterion(self.data)
         criterion = usual if self.criterion is None else self.criterion
         cure = f"a criterion such as {type(usual).__name__}(), for {kind.noun}"
         require_kind("criterion", criterion, kind.criterion_class, cure)

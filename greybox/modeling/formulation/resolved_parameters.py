@@ -1,7 +1,8 @@
-"""The parameters of a problem: what its model and criterion declare, and the problem changes.
+"""The parameters of a problem: as its model and criterion declare them, with the problem's options.
 
-A parameter has two names: the inside one, by which the model declares it, and the outside one, by
-which the answer has it and a sum shares it.
+A parameter has two names. Its inside name is that of the declaration, within the model. Its outside
+name is that in the answer of a fit; the parts of a sum share a parameter by its outside name. The
+two differ only if the problem renames the parameter.
 """
 
 from collections.abc import Mapping
@@ -22,8 +23,8 @@ from greybox.modeling.parameter import Parameter, Parameters
 FixedValues = Mapping[str, float | HeldEstimate]
 """Numbers, or earlier fits whose estimate is the value, by name."""
 
-RANGE = ("bounds", "start", "starts")
-"""Options for the values that a search may take, and where it begins."""
+RANGE_OPTIONS = ("bounds", "start", "starts")
+"""Options for the values that a search may take, and where it begins: fields of the class below."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,11 @@ class ResolvedParameters:
         All parameters with the bounds and starts of the problem. `fixed` is still what the model
         declares.
     untied : mapping of inside name to Parameter
-        Those that are not tied, fixed or free as in the problem. A fixed one starts at its value.
+        The parameters that are not tied, fixed or free as in the problem. A fixed one starts at its
+        value.
     outside : mapping of inside name to outside name
     fixed_values : mapping of inside name to float or HeldEstimate
-        What the problem fixes.
+        The values that the problem fixes.
     priors : tuple of NormalPrior
         The priors of free parameters, by outside name.
     """
@@ -64,7 +66,7 @@ class ResolvedParameters:
     fixed_values: FixedValues
     priors: tuple[NormalPrior, ...]
 
-    # Asked for every parameter by itself, and the same for as long as the problem lives.
+    # Stored, since it is looked up anew for every parameter.
     @cached_property
     def by_outside_name(self) -> dict[str, Parameter]:
         """The parameters that are not tied, by outside name."""
@@ -73,11 +75,11 @@ class ResolvedParameters:
     @cached_property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """Earlier fits among the fixed values, by outside name."""
-        return {
-            self.outside[name]: value
-            for name, value in self.fixed_values.items()
-            if isinstance(value, HeldEstimate)
-        }
+        held = {}
+        for name, value in self.fixed_values.items():
+            if isinstance(value, HeldEstimate):
+                held[self.outside[name]] = value
+        return held
 
 
 def resolved_parameters(
@@ -101,10 +103,9 @@ def resolved_parameters(
     fixed_values = _fixed_values(stated.fixed, outside)
     _check_names(stated, fixed_values, parameters, label)
 
-    declared = {
-        name: _with_stated_range(name, parameter, stated, fixed_values, label)
-        for name, parameter in parameters.items()
-    }
+    declared = {}
+    for name, parameter in parameters.items():
+        declared[name] = _with_stated_range(name, parameter, stated, fixed_values, label)
     _check_outside_names(outside, label)
 
     untied = {}
@@ -124,8 +125,8 @@ def resolved_parameters(
 
 def _check_kinds(stated: StatedParameters) -> None:
     """Require mappings where options are by name, and texts as new names."""
-    for what, mapping in attributes(stated, "rename", *RANGE).items():
-        require_kind(what, mapping, Mapping, "{name of a parameter: ...}")
+    for option, mapping in attributes(stated, "rename", *RANGE_OPTIONS).items():
+        require_kind(option, mapping, Mapping, "{name of a parameter: ...}")
 
     for old, new in stated.rename.items():
         if not isinstance(new, str) or not new:
@@ -133,7 +134,7 @@ def _check_kinds(stated: StatedParameters) -> None:
 
 
 def _fixed_values(fixed: Any, outside: Mapping[str, str]) -> FixedValues:
-    """Return what is fixed by inside name; an earlier fit fixes all parameters that it has."""
+    """Return the fixed values by inside name; an earlier fit fixes all parameters that it has."""
     if isinstance(fixed, Mapping):
         return fixed
     require_kind("fixed", fixed, HeldEstimate, "{name: value} or a Fit")
@@ -146,13 +147,13 @@ def _check_names(
     """Require that options name parameters, and that none is two of fixed, free and tied."""
     roles = {"fixed": fixed_values, "free": stated.free, "tied": stated.tied}
     # A misspelled name would otherwise be ignored silently.
-    for what, names in {**roles, **attributes(stated, "rename", *RANGE)}.items():
-        require_known(names, parameters, "parameter", f"{what}: {label}")
+    for option, names in {**roles, **attributes(stated, "rename", *RANGE_OPTIONS)}.items():
+        require_known(names, parameters, "parameter", f"{option}: {label}")
 
-    for first, second in combinations(roles, 2):
-        for name in roles[first]:
-            if name in roles[second]:
-                raise ValueError(f"{name!r} is both {first} and {second}: keep one of them.")
+    for role, other_role in combinations(roles, 2):
+        for name in roles[role]:
+            if name in roles[other_role]:
+                raise ValueError(f"{name!r} is both {role} and {other_role}: keep one of them.")
 
 
 def _with_stated_range(
@@ -163,11 +164,14 @@ def _with_stated_range(
     label: str,
 ) -> Parameter:
     """Return a declared parameter with the bounds, start and start box that the problem states."""
-    options = attributes(stated, *RANGE).items()
-    changes = {what: values[name] for what, values in options if name in values}
+    changes = {}
+    for option, values in attributes(stated, *RANGE_OPTIONS).items():
+        if name in values:
+            changes[option] = values[name]
 
-    # A parameter that is never estimated would ignore them silently.
-    if name in stated.tied and changes.keys() - {"bounds"}:
+    # A parameter that is never estimated would ignore these options silently.
+    has_start = name in stated.start or name in stated.starts
+    if name in stated.tied and has_start:
         raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
     has_role = name in fixed_values or name in stated.free or name in stated.tied
     if changes and parameter.fixed and not has_role:
@@ -181,7 +185,7 @@ def _with_stated_range(
 
 
 def _check_outside_names(outside: Mapping[str, str], label: str) -> None:
-    """Require outside names of their own: two parameters would become one unknown by accident."""
+    """Require different outside names: two parameters would become one unknown by accident."""
     names = [*outside.values()]
     for name in names:
         if names.count(name) > 1:

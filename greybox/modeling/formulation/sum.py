@@ -58,8 +58,8 @@ class Sum(Addable, Generic[Part]):
     parts that give it one name, ``rename={"x_bias": "x_bias"}``.
 
     Likelihoods add. In a sum with a likelihood, as every record has, the default criterion of a
-    response is `RelativeLikelihood`. Other criteria add only if they are the same, with the same
-    settings.
+    response without variances is `RelativeLikelihood`. Other criteria add only if they are the
+    same, with the same settings.
 
     Raises
     ------

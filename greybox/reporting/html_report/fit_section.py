@@ -21,7 +21,7 @@ from greybox.assessment.profile_result import Profiles
 from greybox.assessment.result import Fit
 from greybox.assessment.verdict import verdict
 from greybox.data.files.frozen_values import frozen
-from greybox.data.files.grouping import grouped, unique
+from greybox.data.files.grouping import grouped
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.wording import counted
 from greybox.modeling.transfer_function import TransferFunction
@@ -46,7 +46,7 @@ from greybox.reporting.plotting.time_history import history_figure
 
 def data_summary(fit: Fit) -> str:
     """Say in one sentence which model was fitted to which data."""
-    models = ", ".join(unique(part.label for part in fit.parts))
+    models = ", ".join(fit.labels)
     free = counted(len(fit.free), "free parameter")
     return f"{models} with {free}, fitted to {printed.data_text(fit)} by {fit.rule}."
 

@@ -28,10 +28,11 @@ from greybox.reporting.html_report.comparison_section import (
     overview,
     study_section,
 )
-from greybox.reporting.html_report.elements import Child, figure_grid, html, tag
+from greybox.reporting.html_report.elements import Child, html, tag
 from greybox.reporting.html_report.fit_section import Entry, fit_section
-from greybox.reporting.plotting.loops import loop_figures
+from greybox.reporting.html_report.loop_sections import gain_section, margin_section
 from greybox.workflows.experiment.margin_values import Margins
+from greybox.workflows.experiment.safe_gains import SafeGains
 from greybox.workflows.study.members import StudyMember
 from greybox.workflows.study.study import Study
 
@@ -44,6 +45,7 @@ def report(
     *,
     comparison: Comparison | None = None,
     margins: Margins | Sequence[Margins] = (),
+    gains: SafeGains | None = None,
     title: str = "",
     author: str = "",
 ) -> None:
@@ -62,6 +64,8 @@ def report(
         compared on their own data.
     margins : Margins or sequence of them
         Margins of loops of these fits, shown with their figures.
+    gains : SafeGains, optional
+        Gains for these fits, shown beside today's with figures of both loops.
     title : str
         By default the name of the fit.
     author : str
@@ -88,6 +92,7 @@ def report(
     results = checked_items("a result", fits, Fit | Study, cure)
     require_kind("comparison", comparison, Comparison | None, "what gb.compare returns")
     loops = checked_items("margins", margins, Margins, "what gb.margins returns")
+    require_kind("gains", gains, SafeGains | None, "what gb.safe_gains returns")
 
     # A file from a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
@@ -107,7 +112,8 @@ def report(
         if len(entries) == 1:
             default = entries[0].answer.get("problem", entries[0].label)
         studies = [result for result in results if isinstance(result, Study)]
-        text = page(entries, comparison, title or default, studies, loops, author)
+        appended = [*margin_section(loops), *gain_section(gains)]
+        text = page(entries, comparison, title or default, studies, appended, author)
     write_text(Path(path), text)
 
 
@@ -169,12 +175,11 @@ def page(
     comparison: Comparison | None,
     title: str,
     studies: Sequence[Study] = (),
-    margins: Sequence[Margins] = (),
+    titled: Sequence[tuple[str, Child]] = (),
     author: str = "",
 ) -> str:
-    """Return the page of these results, and of the margins of their loops, as HTML."""
-    loops = [(tag("pre", str(loop)), figure_grid(loop_figures(loop))) for loop in margins]
-    appended = [_section("Stability margins", loops)] if loops else []
+    """Return the page of these results, and of `titled` sections about their loops, as HTML."""
+    appended = list(starmap(_section, titled))
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:

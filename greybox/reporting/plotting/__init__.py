@@ -20,7 +20,8 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 | `spectrum` | transforms of manoeuvres |
 | `profile` | profiles of the likelihood |
 | `pairs` | draws and replicates: histograms, scatters and correlations |
-| `loops` | the loop of margins, with bands; safe gains |
+| `loops` | the loop of margins, with bands |
+| `gains` | safe gains, and the loop with proposed gains beside today's |
 | `study` | members of a study, or several fits: trends, estimates, costs, maps of structures |
 | `flight_log` | logs and their tests |
 | `signals` | units, symbols and labels |
@@ -30,7 +31,8 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 
 from greybox.reporting.plotting.bode import bode as bode
 from greybox.reporting.plotting.flight_log import recording as recording, traces as traces
-from greybox.reporting.plotting.loops import gains as gains, loop as loop
+from greybox.reporting.plotting.gains import gains as gains
+from greybox.reporting.plotting.loops import loop as loop
 from greybox.reporting.plotting.nyquist import nyquist as nyquist
 from greybox.reporting.plotting.overview import plot as plot
 from greybox.reporting.plotting.pairs import pairs as pairs

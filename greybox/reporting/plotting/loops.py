@@ -1,4 +1,4 @@
-"""Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
+"""Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step."""
 
 import math
 from typing import Any
@@ -10,9 +10,6 @@ from greybox.data.frequency_response import decibels_of
 from greybox.reporting.plotting.bode import BARS, error_bars
 from greybox.reporting.plotting.figure import (
     ANGLES,
-    CROSS,
-    GRAY,
-    INK,
     Figure,
     Panel,
     Series,
@@ -26,7 +23,6 @@ from greybox.workflows.experiment.closed_loop import step_responses
 from greybox.workflows.experiment.drawn_loops import DRAWN
 from greybox.workflows.experiment.loop_numbers import loop_frequencies
 from greybox.workflows.experiment.margin_values import Margins
-from greybox.workflows.experiment.safe_gains import SafeGains
 
 # Gains of the broken loop that are drawn, over its gain nearest to one
 SHOWN = (1e-2, 1e2)
@@ -134,58 +130,3 @@ def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
         Series("estimate", "line", x[0], y[0]),
         Series("critical point", "points", *np.array(critical)[:, None], color=1),
     ]
-
-
-def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
-    """Draw which sets of gains are allowed, with today's gains and the proposed ones, if any.
-
-    A single gain has its confidence above it. With three gains, the first two are drawn at the
-    proposed value of the third, or today's if none is proposed.
-
-    Parameters
-    ----------
-    safe : SafeGains
-    axes : Axes, optional
-        By default a new figure is made.
-
-    Returns
-    -------
-    numpy.ndarray of Axes, shape (1,)
-    """
-    return draw([gains_figure(safe)], axes, size=(5.0, 4.0))
-
-
-def gains_figure(safe: SafeGains) -> Figure:
-    """Return the region of allowed gains."""
-    require_drawable(safe, SafeGains, "the SafeGains that gb.safe_gains returns")
-    names, rows = [*safe.values], [*safe.values.values()]
-    chosen = safe.best or safe.today
-    allowed, confidence = safe.allowed, safe.confidence
-    for name in names[2:]:
-        nearest = np.abs(safe.values[name] - chosen[name]).argmin()
-        allowed, confidence = allowed[..., nearest], confidence[..., nearest]
-
-    if len(names) == 1:
-        label = "Confidence"
-        is_logarithmic = False
-        heights = (safe.today_confidence, 1.0)
-        level = rule(safe.requirements["level"])
-        series = [Series("confidence", "line", rows[0], confidence), level]
-    else:
-        label = names[1]
-        is_logarithmic = bool(rows[1][0] > 0)
-        heights = safe.today[label], chosen[label]
-        x, y = np.meshgrid(*rows[:2], indexing="ij")
-        series = [
-            Series("refused", "points", x[~allowed], y[~allowed], GRAY, CROSS),
-            Series("allowed", "points", x[allowed], y[allowed], 2),
-        ]
-    for name, gains, height, look in (
-        ("today", safe.today, heights[0], (INK, 3)),
-        ("proposed", safe.best, heights[1], (1, 1)),
-    ):
-        if gains:
-            place = np.array([gains[names[0]]]), np.array([height])
-            series.append(Series(name, "points", *place, *look))
-    panel = Panel(label, series, is_logarithmic=is_logarithmic)
-    return Figure("Gains", names[0], [panel], is_logarithmic=bool(rows[0][0] > 0))

@@ -194,7 +194,6 @@ def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
 
 def _label(item: Fit | FrequencyResponse) -> str:
     if isinstance(item, Fit):
-        models = unique(part.label for part in item.parts)
-        return f"fit of {', '.join(models)}"
+        return f"fit of {', '.join(item.labels)}"
     require_drawable(item, FrequencyResponse, "a Fit or a FrequencyResponse")
     return item.name or "data"

@@ -17,8 +17,12 @@ test).
 | `measured_loop_margins` | margins of measured loops, with their errors |
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
-| `gain_comparison` | whether gains are worse than today's |
+| `simulated_flights` | many short flights, and how many of them saturate or ring |
+| `gain_comparison` | gains against today's, number by number |
+| `gain_objectives` | what gains should make small |
 | `todays_loop` | the loop with today's gains, and how other gains change it |
+| `required_margins` | whether the loops of a flight have the required margins |
+| `gain_search` | which of the gains that have them are proposed |
 | `safe_gains` | gains that meet requirements on margins, and are better than today's |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
@@ -39,6 +43,7 @@ from greybox.workflows.experiment.expected_errors import (
 )
 from greybox.workflows.experiment.gain_comparison import GainComparison as GainComparison
 from greybox.workflows.experiment.gain_file import write_gains as write_gains
+from greybox.workflows.experiment.gain_objectives import RejectionBandwidth as RejectionBandwidth
 from greybox.workflows.experiment.margin_values import (
     Margins as Margins,
     margin_table as margin_table,

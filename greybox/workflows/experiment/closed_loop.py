@@ -1,14 +1,25 @@
 """Numbers of closed loops of many plants: response, step and poles."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.workflows.experiment.controller import Controller
 from greybox.workflows.experiment.crossings import Located, Numbers, crossings
 from greybox.workflows.experiment.loop_numbers import REST, loop_frequencies, nearest_pole
 from greybox.workflows.experiment.sampled_loop import SampledLoop
+
+
+def setpoint_and_response(controllers: Sequence[Controller]) -> tuple[str, str] | None:
+    """Return the first setpoint, and what its controller measures first; None if there is none."""
+    for controller in controllers:
+        if controller.setpoints and controller.inputs:
+            setpoint, response = controller.setpoints[0], controller.inputs[0]
+            return controller.outside(setpoint), controller.outside(response)
+    return None
 
 
 def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
@@ -30,7 +41,7 @@ def closed_loop_numbers(
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),
-        **_step_numbers(loop, setpoint, response),
+        **step_numbers(loop, setpoint, response),
         **_pole_numbers(loop, setpoint, response),
     }
 
@@ -107,7 +118,7 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     }
 
 
-def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
+def step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     """Return overshoot (percent), rise time and settling time of a step of a setpoint.
 
     The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.

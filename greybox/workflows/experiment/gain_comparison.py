@@ -1,54 +1,87 @@
-"""Whether other gains make a loop worse than today's: sensitivity, moments and noise."""
+"""Other gains against today's, number by number: which are better, which are worse."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+
+from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import listed
+from greybox.workflows.experiment.sampled_loop import SampledLoop
+from greybox.workflows.experiment.simulated_flights import FlightCounts
 
+SMALL = 0.01  # change of a number below which nobody cares
+# Units whose differences are shown, and not their ratios
+ABSOLUTE = {"dB": " dB", "deg": " deg", "%": " points"}
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides
-SENSITIVITY = "peak |S|"
 
 
 @dataclass(frozen=True)
 class GainChange:
-    """A number of the loop that should be small, with today's gains and with others.
+    """A number of the loop with today's gains and with others.
 
     Attributes
     ----------
-    name : str
-    today, changed : float
-        At the estimate; infinite for an unstable loop.
-    ratio : float
-        Of the changed number over today's, at the estimate. NaN if today's loop is unstable.
+    name, unit : str
+    today, today_low, today_high : float
+        At the estimate, and the ends of its interval; infinite for an unstable loop. The ends are
+        NaN if the data do not determine the number.
+    changed, changed_low, changed_high : float
+        The same with the other gains.
+    worsening : float
+        The factor by which the number gets worse, at the estimate: the changed number over
+        today's, or the inverse for a number that should be large. Of decibels, the factor that
+        they stand for; of an overshoot, that of the peak. NaN if today's loop is unstable.
     low, high : float
-        Ends of the interval of the ratio. Both numbers of a ratio are those of the same plant, so
-        that errors which the two loops share cancel. NaN if the data do not determine the ratio.
+        Ends of the interval of this factor. Both numbers are those of the same plant, so that
+        errors which the two loops share cancel. All intervals of a comparison hold together.
     """
 
     name: str
+    unit: str
     today: float
+    today_low: float
+    today_high: float
     changed: float
-    ratio: float
+    changed_low: float
+    changed_high: float
+    worsening: float
     low: float
     high: float
 
     @property
-    def is_not_worse(self) -> bool:
-        """Whether the number is at most today's, at the estimate and in the whole interval."""
-        return self.ratio <= 1 + ROUNDING and self.high <= 1 + ROUNDING
+    def is_better(self) -> bool:
+        """Whether the number is better at the estimate and in the whole interval."""
+        return self.worsening < 1 - SMALL and self.high < 1 - SMALL
 
     @property
     def judgement(self) -> str:
-        """Return "worse", "may be worse" or "not worse"."""
-        if self.is_not_worse:
-            return "not worse"
-        return "worse" if self.low > 1 else "may be worse"
+        """Return "better", "as good", "may be worse" or "worse"."""
+        if self.is_better:
+            return "better"
+        if self.worsening <= 1 + SMALL and self.high <= 1 + SMALL:
+            return "as good"
+        return "worse" if self.low > 1 + SMALL else "may be worse"
+
+    @property
+    def difference(self) -> str:
+        """The change with its sign: in percent of today's number, or in dB, degrees or points."""
+        if math.isinf(self.changed):
+            return "now infinite"
+        if math.isinf(self.today):
+            return "no longer infinite"
+        if self.unit in ABSOLUTE:
+            return _signed(self.changed - self.today, ABSOLUTE[self.unit])
+        change = self.changed / self.today - 1 if self.today else math.nan
+        return _signed(100 * change, " %")
 
 
 @frozen
@@ -58,20 +91,41 @@ class GainComparison(Printed):
     Attributes
     ----------
     gains : mapping of gain to float
-    bandwidth, today_bandwidth : float, rad/s
-        The lowest disturbance rejection bandwidth of the estimates; NaN where an estimate does not
-        meet the requirements.
+    objective : GainChange
+        What the gains should make small: its numbers are relative to today's estimate.
     changes : tuple of GainChange
-        Peak of the sensitivity (a factor), peak response to a step moment, and noise at the
-        actuator: of several flights, that with the highest end of the interval.
+        Margins, bandwidths, the peak of the sensitivity, the step of a setpoint, the response to a
+        step moment and the noise at the actuator: of several flights, that in which the number is
+        or may be worst.
+    refusals : tuple of str
+        Why the gains are not proposed; empty if they are.
     level : float
+    flights, today_flights : FlightCounts, optional
+        Simulated flights with these gains and with today's; None if none were flown.
+    loops, today_loops : SampledLoop, optional
+        The loops of the first flight, for figures: of the estimate, and of draws.
+    signal : str
+        Where they are broken.
+    tracking, moment : (str, str)
+        A setpoint or an input of the plant, and the signal that responds to it; the first may be
+        empty.
+    horizon : float, s
+        Over which responses to a moment are compared.
     """
 
     gains: Values
-    bandwidth: float
-    today_bandwidth: float
+    objective: GainChange
     changes: tuple[GainChange, ...]
+    refusals: tuple[str, ...]
     level: float
+    flights: FlightCounts | None = None
+    today_flights: FlightCounts | None = None
+    loops: SampledLoop | None = None
+    today_loops: SampledLoop | None = None
+    signal: str = ""
+    tracking: tuple[str, str] | tuple[()] = ()
+    moment: tuple[str, str] = ("", "")
+    horizon: float = 0.0
 
     def __getitem__(self, name: str) -> GainChange:
         """Return a change by its name, such as "peak |S|"."""
@@ -83,46 +137,101 @@ class GainComparison(Printed):
     @property
     def today_is_stable(self) -> bool:
         """Whether the estimates are stable with today's gains: if not, nothing can be compared."""
-        return all(math.isfinite(change.today) for change in self.changes)
+        return math.isfinite(self.objective.today)
+
+    def judged(self, judgement: str) -> tuple[GainChange, ...]:
+        """Return the changes with this judgement, such as "worse"."""
+        return tuple(change for change in self.changes if change.judgement == judgement)
 
     @property
-    def worse(self) -> tuple[str, ...]:
-        """What is worse than today, or may be."""
-        return tuple(change.name for change in self.changes if not change.is_not_worse)
+    def sentence(self) -> str:
+        """What is better, what is worse, and what may be."""
+        parts = []
+        for judgement in ("better", "worse", "may be worse"):
+            changes = self.judged(judgement)
+            if changes:
+                named = [f"{change.name} ({change.difference})" for change in changes]
+                parts.append(f"{judgement}: {listed(named)}")
+        return "; ".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers as plain values."""
+        return {
+            "gains": dict(self.gains),
+            "objective": plain(self.objective),
+            "changes": [
+                {**plain(change), "judgement": change.judgement} for change in self.changes
+            ],
+            "refusals": [*self.refusals],
+            "level": self.level,
+            "flights": plain(self.flights),
+            "today_flights": plain(self.today_flights),
+        }
+
+    def table(self) -> tuple[list[str], list[tuple[str, ...]]]:
+        """Return the header and the rows of the table: every number before and after."""
+        header = ["", "unit", "today", "refused" if self.refusals else "proposed", "change", ""]
+        rows = []
+        for change in self.changes:
+            rows.append(
+                (
+                    change.name,
+                    change.unit,
+                    _with_ends(change.today, change.today_low, change.today_high),
+                    _with_ends(change.changed, change.changed_low, change.changed_high),
+                    change.difference,
+                    change.judgement,
+                )
+            )
+        return header, rows
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the columns of the table mean, and what the simulated flights show."""
+        level = f"{100 * self.level:g} %"
+        lines = [
+            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for all "
+            f"rows together with {level} confidence."
+        ]
+        if self.flights and self.today_flights:
+            lines.append(f"Simulated with these gains: {self.flights}")
+            lines.append(f"Simulated with today's gains: {self.today_flights}")
+        return tuple(lines)
 
     def __str__(self) -> str:
-        rows = [_printed(change) for change in self.changes]
-        pair = [number(value, 3) for value in (self.today_bandwidth, self.bandwidth)]
-        rows.append(("disturbance rejection bandwidth, rad/s", *pair, "", ""))
-        label = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
-        kind = "refused" if self.worse else "proposed"
-        header = (label, "today", kind, f"change ({100 * self.level:g} % interval)", "")
-        return text_table(header, rows, left=(0, 4))
+        header, rows = self.table()
+        header[0] = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
+        return "\n".join([text_table(header, rows, left=(0, 1, 5)), *self.remarks])
 
 
-def _printed(change: GainChange) -> tuple[str, ...]:
-    """Return a row: the peak of the sensitivity in dB, other numbers relative to today's."""
-    is_sensitivity = change.name == SENSITIVITY
-    shown = [change.ratio, change.low, change.high]
-    if is_sensitivity:
-        shown = [_decibels(value) for value in shown]
-        pair = [number(_decibels(value), 3) for value in (change.today, change.changed)]
-    else:
-        shown = [100 * (value - 1) for value in shown]
-        pair = ["1", number(change.ratio, 3)]
-    # Equal numbers differ by rounding, of which nobody wants to read three digits.
-    shown = [v if math.isinf(v) or math.isnan(v) else round(v, 4) for v in shown]
-    value, low, high = (f"{'+' if v > 0 else ''}{number(v + 0.0, 3)}" for v in shown)
-    unit = "dB" if is_sensitivity else "%"
-    interval = f"({low} to {high})" if not math.isnan(change.high) else "(not determined)"
-    name = f"{change.name}, {'dB' if is_sensitivity else 'relative'}"
-    return (name, *pair, f"{value} {unit} {interval}", change.judgement)
+def _signed(value: float, unit: str) -> str:
+    """Return a change with its sign; rounding errors are zero."""
+    if math.isnan(value):
+        return "-"
+    rounded = value if math.isinf(value) else round(value, 3)
+    return f"{'+' if rounded > 0 else ''}{number(rounded + 0.0, 3)}{unit}"
 
 
-def _decibels(factor: float) -> float:
-    if factor == 0:
-        return -math.inf
-    return 20 * math.log10(factor)
+def _with_ends(value: float, low: float, high: float) -> str:
+    if math.isnan(low):
+        return f"{number(value, 3)} (not determined)"
+    return f"{number(value, 3)} ({number(low, 3)} to {number(high, 3)})"
+
+
+def linear(values: Array, unit: str) -> Array:
+    """Return numbers of which ratios can be taken: decibels as factors, an overshoot as a peak."""
+    if unit == "dB":
+        return 10 ** (values / 20)
+    return 1 + values / 100 if unit == "%" else values
+
+
+@np.errstate(all="ignore")
+def worsening(today: Array, changed: Array, unit: str, is_large_better: bool) -> Array:
+    """Return by which factor (plants,) numbers get worse; one where both are zero or infinite."""
+    before, after = linear(today, unit), linear(changed, unit)
+    if is_large_better:
+        before, after = after, before
+    return np.where(before == after, 1.0, after / before)
 
 
 def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, ...]:
@@ -134,4 +243,4 @@ def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, 
 
 
 def _badness(change: GainChange) -> tuple[float, ...]:
-    return tuple(math.inf if math.isnan(v) else v for v in (change.high, change.ratio))
+    return tuple(math.inf if math.isnan(v) else v for v in (change.high, change.worsening))

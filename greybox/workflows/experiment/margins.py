@@ -19,7 +19,11 @@ from greybox.data.files.wording import listed
 from greybox.data.frequency_band import number_pair
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.model import Model
-from greybox.workflows.experiment.closed_loop import closed_loop_numbers, follows
+from greybox.workflows.experiment.closed_loop import (
+    closed_loop_numbers,
+    follows,
+    setpoint_and_response,
+)
 from greybox.workflows.experiment.controller import Controller, Controllers
 from greybox.workflows.experiment.drawn_loops import BESIDE, DRAWN, drawn_loops
 from greybox.workflows.experiment.loop_numbers import (
@@ -161,15 +165,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
         raise ValueError(
             f"tracking is {tracking!r}: give two names, a setpoint and the signal that follows it."
         )
-    # The first setpoint, and what its controller measures first.
-    setpoint, response = tracking or next(
-        (
-            (c.outside(c.setpoints[0]), c.outside(c.inputs[0]))
-            for c in controllers
-            if c.setpoints and c.inputs
-        ),
-        ("", ""),
-    )
+    setpoint, response = tracking or setpoint_and_response(controllers) or ("", "")
     unit = _unit(response, model, controllers)
     integrals = _INTEGRALS.get(unit)
     if boundary and integrals is None:

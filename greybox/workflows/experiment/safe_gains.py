@@ -3,7 +3,6 @@
 Begin with `safe_gains`.
 """
 
-import copy
 import itertools
 import math
 from collections import Counter
@@ -13,43 +12,39 @@ from typing import Any
 
 import numpy as np
 
-from greybox.assessment.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.assessment.response_band import require_level
 from greybox.assessment.result import Fit, Fits
 from greybox.data.files.argument_checks import checked_items
 from greybox.data.files.arrays import Array, BoolArray, Interval
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.json_numbers import plain
-from greybox.data.files.named_values import Values
+from greybox.data.files.named_values import NOTHING, Values, attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.text_table import text_table
-from greybox.data.files.wording import counted, listed
+from greybox.data.files.wording import listed
 from greybox.data.frequency_band import number_pair
-from greybox.data.spectral import spectral_response
-from greybox.modeling.formula_arguments import Names
 from greybox.modeling.model import require_known
 from greybox.workflows.experiment.controller import Controller, Controllers
 from greybox.workflows.experiment.drawn_loops import BESIDE, drawn_loops
-from greybox.workflows.experiment.gain_comparison import ROUNDING, GainComparison, worst_changes
-from greybox.workflows.experiment.loop_numbers import loop_frequencies, margin_numbers
-from greybox.workflows.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.workflows.experiment.todays_loop import TodaysLoop, todays_loop
+from greybox.workflows.experiment.gain_comparison import GainComparison
+from greybox.workflows.experiment.gain_objectives import Objective
+from greybox.workflows.experiment.gain_search import (
+    STEPS,
+    GainSearch,
+    TunedControllers,
+    gains_between,
+)
+from greybox.workflows.experiment.required_margins import required_margins
+from greybox.workflows.experiment.todays_loop import todays_loop
 
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
-TRIED = 4.0  # today's gain divided and multiplied by it, where no range is given
-FEW = 16  # draws whose poles are computed
-
-# A point is measured well up to these limits of Tischler and Remple (2012), Aircraft and Rotorcraft
-# System Identification, sections 7.5 and 9.7: coherence, relative random error.
-COHERENCE, RANDOM_ERROR = 0.6, 0.2
-SPACING = 2.0  # of the points that surround a crossover
 
 PROMISE = (
     "Promised: the fitted models with their errors meet the requirements. Not promised: structural "
-    "modes, saturation, vibration that a larger D amplifies, and flight conditions other than "
-    "those of the fitted flights."
+    "modes, vibration that a larger D amplifies, and flight conditions other than those of the "
+    "fitted flights."
 )
 
 
@@ -57,10 +52,9 @@ PROMISE = (
 class SafeGains(Printed):
     """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
 
-    A set is proposed only if it meets the requirements, has a higher disturbance rejection
-    bandwidth than today's gains, and is not worse than these in any of: the peak of the
-    sensitivity, the peak response to a step moment, the noise at the actuator. Otherwise the answer
-    is to keep today's gains.
+    A set is proposed only if it meets the requirements, makes the objective certainly smaller, and
+    keeps the limits on the response to a moment and on noise. Otherwise the answer is to keep
+    today's gains.
 
     Attributes
     ----------
@@ -69,19 +63,21 @@ class SafeGains(Printed):
     confidence : array (n of the first gain, n of the second ...)
         Share of the draws that meet all requirements at once, for the flight with the smallest
         share; NaN where a flight measured the response poorly at the crossover.
-    bandwidth : array, rad/s
-        The lowest disturbance rejection bandwidth of the estimates; NaN where an estimate does not
-        meet the requirements.
+    objective : array
+        The objective over that of today's gains, at the estimates: the largest of the flights. NaN
+        where an estimate does not meet the requirements.
     today : mapping of gain to float
         The gains of the given controller.
     today_confidence : float
-    today_bandwidth : float, rad/s
     comparison : GainComparison, optional
-        The proposed set against today's gains. If none is proposed: the one that was refused
-        although it has the highest bandwidth of those that meet the requirements; None if no such
-        set has a higher bandwidth than today's gains.
+        The proposed set against today's gains. If none is proposed: the set that was refused
+        although it has the smallest objective of those that meet the requirements; None if no
+        set meets them.
     requirements : mapping of name to float
-        ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``.
+        ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``, ``noise`` and
+        ``change``, both as factors.
+    aim : str
+        What the objective is.
     cure : str
         Which flight would measure the response at crossovers where it was measured poorly.
     notes : tuple of str
@@ -89,12 +85,12 @@ class SafeGains(Printed):
 
     values: Mapping[str, Array]
     confidence: Array
-    bandwidth: Array
+    objective: Array
     today: Values
     today_confidence: float
-    today_bandwidth: float
     comparison: GainComparison | None
     requirements: Values
+    aim: str
     cure: str
     notes: tuple[str, ...]
 
@@ -104,19 +100,20 @@ class SafeGains(Printed):
         return self.confidence >= self.requirements["level"]
 
     @property
-    def faster(self) -> BoolArray:
-        """Which allowed sets have a higher disturbance rejection bandwidth than today's gains.
-
-        All of them, if the estimate with today's gains does not meet the requirements.
-        """
-        return self.allowed & ~(self.bandwidth <= self.today_bandwidth * (1 + ROUNDING))
-
-    @property
     def best(self) -> dict[str, float]:
         """The proposed gains; empty if today's gains are to be kept."""
-        if self.comparison and not self.comparison.worse:
+        if self.comparison and not self.comparison.refusals:
             return dict(self.comparison.gains)
         return {}
+
+    @property
+    def steps(self) -> tuple[dict[str, float], ...]:
+        """The sets in which the proposed gains are approached, in equal ratios; the last is `best`."""
+        return tuple(
+            gains_between(self.today, self.best, k / STEPS)
+            for k in range(1, STEPS + 1)
+            if self.best
+        )
 
     @property
     def is_usable(self) -> bool:
@@ -129,39 +126,31 @@ class SafeGains(Printed):
         """The answer in one sentence."""
         if not self.allowed.any():
             poor = "refused: the response was measured poorly at the crossover."
-            return f"{poor} {self.cure}" if self.cure else self._meeting
-        if self.best:
-            chosen = listed([f"{name} = {value:.4g}" for name, value in self.best.items()])
-            return (
-                f"proposed: {chosen}, the highest disturbance rejection bandwidth of the sets that "
-                "meet the requirements and are not worse than today's gains."
-            )
-        if self.comparison and not self.comparison.today_is_stable:
+            further = "allow a larger change of the gains, or tune others."
+            return f"{poor} {self.cure}" if self.cure else f"refused: {self._meeting} {further}"
+        comparison = self.comparison
+        if comparison and not comparison.today_is_stable:
             return (
                 "refused: the loop of today's gains is unstable with the fitted plant, so that no "
                 "gains can be compared with them. If they fly, the model or the gains are wrong; "
                 "otherwise give gains that stabilize the plant."
             )
+        if self.best and comparison:
+            chosen = listed([f"{name} = {value:.4g}" for name, value in self.best.items()])
+            cause = ", because today's gains miss the required margins" if self.misses else ""
+            return f"proposed{cause}: {chosen}; {comparison.sentence}."
         share = 100 * self.requirements["level"]
         fails = self.today_confidence < self.requirements["level"]
         although = f", although they do not meet the requirements with {share:g} % confidence"
-        keep = f"keep today's gains{although if fails else ''}"
-        if not self.comparison:
-            best, today = (
-                number(value, 3)
-                for value in (self.bandwidth[self.allowed].max(), self.today_bandwidth)
-            )
-            return (
-                f"{keep}: no set that meets the requirements has a higher disturbance rejection "
-                f"bandwidth ({best} rad/s, {today} today)."
-            )
-        found = counted(int(self.faster.sum()), "set")
-        faster = " and have a higher disturbance rejection bandwidth"
-        return (
-            f"{keep}: {found} would meet the requirements"
-            f"{'' if math.isnan(self.today_bandwidth) else faster}, but none is shown to be as "
-            "good in peak |S|, response to a moment and noise."
-        )
+        reason = "no other set meets the requirements"
+        if comparison:
+            reason = f"the best other set {listed(comparison.refusals)}"
+        return f"keep today's gains{although if fails else ''}: {reason}."
+
+    @property
+    def misses(self) -> bool:
+        """Whether today's gains probably miss the requirements."""
+        return self.today_confidence < 0.5
 
     @property
     def _meeting(self) -> str:
@@ -172,14 +161,43 @@ class SafeGains(Printed):
             f"{100 * wanted['level']:g} % confidence."
         )
 
+    def renamed(self, names: Sequence[str], notes: Sequence[str] = ()) -> "SafeGains":
+        """Return the answer with other names of the gains, such as those of the firmware."""
+
+        def by_name(values: Mapping[str, Any]) -> dict[str, Any]:
+            return dict(zip(names, values.values(), strict=True))
+
+        comparison = self.comparison
+        if comparison:
+            comparison = replace(comparison, gains=by_name(comparison.gains))
+        return replace(
+            self,
+            values=by_name(self.values),
+            today=by_name(self.today),
+            comparison=comparison,
+            notes=(*notes, *self.notes),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; without a proposal, `best` is None."""
-        fields = plain(self)
-        if self.comparison:
-            fields["comparison"]["worse"] = [*self.comparison.worse]
-        return fields | {
-            "verdict": self.verdict,
+        return plain(
+            attributes(
+                self,
+                "verdict",
+                "values",
+                "confidence",
+                "objective",
+                "today",
+                "today_confidence",
+                "requirements",
+                "aim",
+                "cure",
+                "notes",
+            )
+        ) | {
+            "comparison": self.comparison.to_dict() if self.comparison else None,
             "best": self.best or None,
+            "steps": [*self.steps],
             "reason": None if self.best else self.verdict,
             "promise": PROMISE,
             "allowed": self.allowed.tolist(),
@@ -190,9 +208,10 @@ class SafeGains(Printed):
         for k, (name, row) in enumerate(self.values.items()):
             used = row[np.moveaxis(self.allowed, k, 0).reshape(len(row), -1).any(axis=1)]
             ends = (used[0], used[-1]) if used.size else (math.nan, math.nan)
-            chosen = (self.best.get(name, math.nan), self.today[name])
-            rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
-        header = ("allowed (not all combinations)", "from", "to", "proposed", "today")
+            steps = [number(step[name], 3) for step in self.steps] or ["-"]
+            rows.append((name, *(number(v, 3) for v in ends), number(self.today[name], 3), *steps))
+        header = ["allowed (not all combinations)", "from", "to", "today"]
+        header += ["step 1", "step 2", "proposed"] if self.steps else ["proposed"]
         some = f"Some sets were refused: {self.cure}" if self.cure and self.allowed.any() else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
         wider = f"At an end of the tried range: the proposed {listed(at_end)}." if at_end else ""
@@ -201,17 +220,22 @@ class SafeGains(Printed):
         if math.isnan(self.today_confidence):
             today = "Whether today's gains meet them is not known: their crossover lies there."
         lines = [
-            self.verdict[0].upper() + self.verdict[1:],
+            _capital(self.verdict),
             str(self.comparison) if self.comparison and self.is_usable else "",
             self._meeting if self.allowed.any() else "",
             text_table(header, rows),
             wider,
             some,
             today,
+            "Fly the steps one after the other." if self.best else "",
             PROMISE if self.best else "",
             *self.notes,
         ]
         return "\n".join(filter(None, lines))
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
@@ -226,6 +250,11 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     broken_at: str = "",
     at: Values | None = None,
     parts: Sequence[int] = (0,),
+    objective: Objective | None = None,
+    noise_factor: float = 1.5,
+    change: float = 2.0,
+    noise: Values = NOTHING,
+    moment: float = 0.1,
 ) -> SafeGains:
     """Return which gains meet requirements on the margins, and those that are better than today's.
 
@@ -235,22 +264,30 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     other, with a coherence of 0.6, a random error of 20 %, and within 30 % of the fitted response.
     Otherwise the set is refused, and `SafeGains.cure` says which flight would measure it.
 
-    Of the allowed sets, `SafeGains.best` is the one with the highest disturbance rejection
-    bandwidth that is not worse than today's gains in
+    Of the allowed sets, `SafeGains.best` is the one with the smallest objective: by default the rms
+    response to a step moment, over five periods of the crossover of today's loop. A step moment is
+    added to an input of the plant that the controllers drive; the response is each signal that they
+    measure, but for derivatives of other signals. A set is proposed only if, in every flight,
 
-    - the peak of the sensitivity where the loop is broken, |S|;
-    - the peak response to a step moment: a step added to an input of the plant that the controllers
-      drive. The response is each signal that they measure, but for derivatives of other signals;
-    - the noise at the actuator: the rms of the same input from white noise on the samples of each
-      signal that the controllers measure.
+    - no gain changes by more than the factor `change`;
+    - the objective is at most 0.8 times today's;
+    - the peak response to the step moment is at most today's;
+    - the noise at the actuator, the rms of an input from white noise on the samples of each signal
+      that the controllers measure, is at most `noise_factor` times today's;
+    - the peak of the sensitivity where the loop is broken is at most today's, or 3 dB;
+    - of 200 simulated flights no more reach a limit of the control or ring than with today's gains.
 
-    A set is not worse if, for each of these numbers, the ratio to that of today's gains is at most
-    one at the estimate and in its whole interval, in every flight. The interval has the quantiles
-    ``(1 - level) / 2`` and ``(1 + level) / 2`` of the draws, and both numbers of a ratio are those
-    of the same drawn plant. A ratio that the data do not determine counts as worse, and so does a
-    loop that is unstable with the set. So the more uncertain the plant is, the fewer gains are
-    proposed. If no set remains whose bandwidth is higher than today's, nothing is proposed. The
-    additional `delay` is not in these numbers.
+    The requirements must then hold with the confidence ``(1 + level) / 2``: the whole intervals of
+    the margins meet them. Limits hold at the estimate and in the whole interval of the ratio to today's number, over draws
+    of the same plants, for all numbers together with the confidence `level`. A ratio that the data
+    do not determine fails. So the more uncertain the plant is, the fewer gains are proposed. If
+    today's gains probably fail the requirements, the limits on the objective and on the response to
+    a moment do not apply: the set with the smallest objective is proposed. The additional `delay`
+    is not in these numbers.
+
+    The simulated flights have draws of the plant, linear as in the margins, and the sampled
+    controllers with their limits. A setpoint and then a moment change by a step. If they fail, two
+    thirds and one third of the way to the gains are tried.
 
     Parameters
     ----------
@@ -261,7 +298,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     gains : mapping of gain to (low, high), or names
         One to three parameters of the controllers, as ``"K_P"`` or, if several have it,
         ``"RateController.P"``. Positive ranges are divided in equal ratios. Without a range, or
-        with None, a quarter to four times today's gain is tried.
+        with None, today's gain is divided and multiplied by `change`.
     phase_margin : float, degrees
     gain_margin : float, dB
         For larger and for smaller gains.
@@ -275,6 +312,19 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         The operating point of an ODE; by default that of each fitted part.
     parts : sequence of int
         The parts of a fit of several problems that are flights of this loop.
+    objective : function of a loop, optional
+        It returns a number (plants,) for each plant of a `SampledLoop`, smaller ones for better
+        gains: ``lambda loop: abs(loop.gains("u", ["theta"], [3.0])[:, 0, 0])`` is the response of
+        theta to a moment at 3 rad/s, `greybox.experiment.RejectionBandwidth` is included.
+    noise_factor : float
+        How many times today's noise at the actuator is accepted.
+    change : float
+        Largest factor by which a gain may change.
+    noise : mapping of signal to float
+        Standard deviation of the noise of a measured signal, in the simulated flights.
+    moment : float
+        Size of the step moment in the simulated flights, in units of the control. The step of the
+        setpoint takes as much control.
 
     Raises
     ------
@@ -287,7 +337,60 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     if not flights or not parts:
         raise ValueError(f"fits={fits!r:.60} and parts={parts!r:.60}: give at least one of both.")
     controllers = checked_items("the controller", controller, Controller, "a controller or several")
-    # The controller of each gain, and its name; gains with the same name have a prefix.
+    laws = _tuned(controllers, gains)
+    today = laws.today
+    ranges = gains if isinstance(gains, Mapping) else dict.fromkeys(gains)
+    values = {
+        name: _divided(name, ranges[name], value, change, POINTS[len(gains)])
+        for name, value in today.items()
+    }
+
+    wanted = {"phase margin": phase_margin, "gain margin": gain_margin, "delay": delay}
+    for name, value in wanted.items():
+        if not value >= 0:
+            raise ValueError(f"the required {name} is {value:g}: give 0 or more.")
+    for name, value in {"noise_factor": noise_factor, "change": change}.items():
+        if not value >= 1:
+            raise ValueError(f"{name} is {value:g}: give a factor of 1 or more.")
+
+    todays, required = [], []
+    for fit, part in itertools.product(flights, parts):
+        loops = drawn_loops(fit, controllers, at=at, part=part)
+        plants = np.arange(len(loops.A))
+        # The estimate, draws, and what the data do not determine.
+        some = loops.of(np.r_[plants[: 1 + DRAWS], plants[BESIDE]])
+        signal = broken_at or loops.inputs[0]
+        todays.append(todays_loop(controllers, some, DRAWS, signal, objective))
+        some = loops.of(slice(1 + DRAWS))
+        required.append(required_margins(fit, part, some, signal, wanted))
+
+    sets = [dict(zip(today, row, strict=True)) for row in itertools.product(*values.values())]
+    search = GainSearch(
+        laws, tuple(todays), tuple(required), level, noise_factor, change, noise, moment
+    )
+    confidence, cure = search.judged(sets)
+    ratios, comparison = search.choose(sets, confidence)
+    shape = [*map(len, values.values())]
+    notes = [f"The fit warns: {text}" for fit in flights for text in fit.warnings]
+    return SafeGains(
+        values,
+        confidence.reshape(shape),
+        ratios.reshape(shape),
+        today,
+        search.today_confidence,
+        comparison,
+        wanted | {"level": level, "noise": noise_factor, "change": change},
+        search.aim,
+        cure,
+        (*search.shelves(comparison), *notes),
+    )
+
+
+def _tuned(
+    controllers: Sequence[Controller], gains: Sequence[str] | Mapping[str, Any]
+) -> TunedControllers:
+    """Return the controllers with the places of these gains in them."""
+    # Gains with the same name have a prefix.
     counts = Counter(name for c in controllers for name in c.parameters)
     owners = {}
     for k, c in enumerate(controllers):
@@ -299,182 +402,18 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
             f"{len(gains)} gains were given: give one, two or three of {listed([*owners])}."
         )
     require_known(gains, owners, "gain", "the list of controllers")
-    places = [owners[name] for name in gains]
-    today = {name: controllers[k].values[own] for name, (k, own) in zip(gains, places, strict=True)}
-    ranges = gains if isinstance(gains, Mapping) else dict.fromkeys(gains)
-    values = {
-        name: _divided(name, ranges[name], value, POINTS[len(gains)])
-        for name, value in today.items()
+    places = tuple(owners[name] for name in gains)
+    today = {
+        name: float(controllers[k].values[own])
+        for name, (k, own) in zip(gains, places, strict=True)
     }
-
-    laws = []
-    for row in (*itertools.product(*values.values()), today.values()):
-        law = [copy.copy(c) for c in controllers]
-        for (k, own), value in zip(places, row, strict=True):
-            law[k].values = Names({**law[k].values, own: float(value)}, type(law[k]).__name__)
-        laws.append(law)
-    wanted = {"phase margin": phase_margin, "gain margin": gain_margin, "delay": delay}
-    for name, value in wanted.items():
-        if not value >= 0:
-            raise ValueError(f"the required {name} is {value:g}: give 0 or more.")
-    flown = [
-        (fit, part, drawn_loops(fit, controllers, at=at, part=part))
-        for fit in flights
-        for part in parts
-    ]
-    answers = [_judged(fit, part, loops, laws, wanted, broken_at) for fit, part, loops in flown]
-    confidences, bandwidths, cures = zip(*answers, strict=True)
-    confidence, bandwidth = np.min(confidences, axis=0), np.min(bandwidths, axis=0)
-    shape = [*map(len, values.values())]
-    safe = SafeGains(
-        values,
-        confidence[:-1].reshape(shape),
-        bandwidth[:-1].reshape(shape),
-        today,
-        float(confidence[-1]),
-        float(bandwidth[-1]),
-        None,
-        wanted | {"level": level},
-        " ".join(filter(None, cures)),
-        tuple(f"The fit warns: {text}" for fit in flights for text in fit.warnings),
-    )
-    todays = []
-    for _, _, loops in flown:
-        plants = np.arange(len(loops.A))
-        # The estimate, as many draws as above, and what the data do not determine.
-        some = loops.of(np.r_[plants[: 1 + DRAWS], plants[BESIDE]])
-        todays.append(todays_loop(controllers, some, DRAWS, broken_at or loops.inputs[0]))
-    return replace(safe, comparison=_comparison(safe, todays, laws, level))
+    return TunedControllers(tuple(controllers), today, places)
 
 
-def _comparison(
-    safe: SafeGains,
-    todays: Sequence[TodaysLoop],
-    laws: Sequence[Sequence[Controller]],
-    level: float,
-) -> GainComparison | None:
-    """Return the first of the faster sets, the fastest first, that is not worse than today's gains.
-
-    Otherwise return the fastest one, and None if there is none.
-    """
-    bandwidth, faster = safe.bandwidth.ravel(), safe.faster.ravel()
-    candidates = [int(k) for k in np.argsort(-bandwidth, kind="stable") if faster[k]]
-    sets = list(itertools.product(*safe.values.values()))
-    fastest = None
-    for k in candidates:
-        pairs = [(t, linear_controller(laws[k], t.loops.sensors, t.loops.inputs)) for t in todays]
-        # The draws take far more time than the estimate.
-        if fastest and any(today.is_worse_at_the_estimate(control) for today, control in pairs):
-            continue
-        comparison = GainComparison(
-            dict(zip(safe.values, map(float, sets[k]), strict=True)),
-            float(bandwidth[k]),
-            safe.today_bandwidth,
-            worst_changes([today.changes(control, level) for today, control in pairs]),
-            level,
-        )
-        if not comparison.worse:
-            return comparison
-        fastest = fastest or comparison
-    return fastest
-
-
-def _divided(name: str, ends: Interval | None, today: float, count: int) -> Array:
+def _divided(name: str, ends: Interval | None, today: float, change: float, count: int) -> Array:
     if ends is None and not today > 0:
         raise ValueError(f"{name} is {today:g}, which suggests no range: give its range.")
-    low, high = number_pair(ends or (today / TRIED, today * TRIED), f"the range of {name}")
+    low, high = number_pair(ends or (today / change, today * change), f"the range of {name}")
     if not -math.inf < low < high < math.inf:
         raise ValueError(f"the range of {name} must be increasing: got {low:g} to {high:g}.")
     return (np.geomspace if low > 0 else np.linspace)(low, high, count)
-
-
-def _judged(
-    fit: Fit,
-    part: int,
-    loops: SampledLoop,
-    laws: Sequence[Sequence[Controller]],
-    wanted: Values,
-    broken_at: str,
-) -> tuple[Array, Array, str]:
-    """Return confidence and bandwidth (sets,) of a flight, and the cure of poor measurements."""
-    loops = loops.of(slice(1 + DRAWS))
-    signal = broken_at or loops.inputs[0]
-    omega = loop_frequencies(loops, 260)  # margins to 0.1 degrees
-    late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
-    plants = loops.plant_response(omega)
-    points, is_good = _measured_points(fit.parts[part], loops)
-
-    def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
-        """Return which plants meet the requirements, bandwidth and crossovers of the first."""
-        plant = plants[: len(loop.A)]
-        # A loop becomes unstable only if its gain passes -1, and loops that meet the requirements
-        # stay away from it. So the poles of a few draws suffice, which takes a tenth of the time.
-        is_stable = np.ones(len(plant), dtype=bool)
-        is_stable[:FEW] = loop.of(slice(FEW)).is_stable
-        with_and_without = [
-            margin_numbers(loop.broken_at(signal, omega, response), omega, period=loop.period)
-            for response in ([plant, plant * late] if wanted["delay"] else [plant])
-        ]
-        # A loop that is stable without the delay is stable for any delay below its delay margin.
-        first = with_and_without[0]
-        meets = is_stable & (first["delay margin"].value >= wanted["delay"])
-        for numbers in with_and_without:
-            for name, least in (("phase", "phase"), ("gain", "gain"), ("gain reduction", "gain")):
-                meets &= numbers[f"{name} margin"].value >= wanted[f"{least} margin"]
-        places = [first[name].first[1] for name in ("phase margin", "crossover")]
-        return meets, first["disturbance rejection bandwidth"].first[0], places
-
-    confidence, bandwidth = np.zeros(len(laws)), np.full(len(laws), np.nan)
-    poor: list[float] = []
-    for k, law in enumerate(laws):
-        control = linear_controller(law, loops.sensors, loops.inputs)
-        # Where the estimate itself fails, its draws are not tried.
-        meets, rejection, places = judged(replace(loops.first, controller=control))
-        if meets[0]:
-            bandwidth[k] = rejection
-            confidence[k] = np.mean(judged(replace(loops, controller=control))[0][1:])
-            # A loop without a crossover has it below the lowest frequency, if at all.
-            bad = [w for w in places if not _is_between(points, is_good, w)]
-            confidence[k] = math.nan if bad else confidence[k]
-            poor += [w for w in bad if w > 0]
-
-    if not poor:
-        return confidence, bandwidth, ""
-    cure = (
-        f"In the conditions of {fit.name!r}, fly sines or a sweep from "
-        f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s, with a larger amplitude "
-        "where the points were noisy."
-    )
-    return confidence, bandwidth, cure
-
-
-def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:
-    """Return the frequencies (n,) of a flight's response, and where it was measured well."""
-    nothing = np.zeros(0), np.zeros(0, dtype=bool)
-    if isinstance(part, FittedResponse):
-        data, fitted = part.data, part.response
-    elif isinstance(part, FittedRecord):
-        try:
-            data = spectral_response(part.data, loops.inputs[0], part.outputs[0])
-        except ValueError:  # too short
-            return nothing
-        place = loops.sensors.index(part.outputs[0])
-        fitted = loops.first.plant_response(data.omega)[0, :, place, 0]
-    else:
-        return nothing
-
-    is_good = np.abs(data.response / fitted - 1) <= 0.3  # 17 degrees
-    if data.variance is not None:
-        is_good &= data.relative_error <= RANDOM_ERROR
-    if data.coherence is not None:
-        is_good &= data.coherence >= COHERENCE
-    order = np.argsort(data.omega)
-    return data.omega[order], is_good[order]
-
-
-def _is_between(points: Array, is_good: BoolArray, omega: float) -> bool:
-    """Return whether good points, not far from each other, lie on both sides of a frequency."""
-    k = int(np.searchsorted(points, omega))
-    return 0 < k < len(points) and bool(
-        is_good[k - 1] and is_good[k] and points[k] <= SPACING * points[k - 1]
-    )

@@ -352,11 +352,25 @@ def measured_signal(
     )
 
 
+class ControllerFormulas(NamedTuple):
+    """A chain of controllers as expressions.
+
+    Their `states`, what they measure and what is added to their commands (`inputs`), the states
+    after the sample (`following`), and the `total` of every command.
+    """
+
+    commands: tuple[str, ...]
+    states: ca.SX
+    inputs: ca.SX
+    following: ca.SX
+    total: ca.SX
+
+
 @one_thread_at_a_time
-def linear_controller(
+def controller_formulas(
     controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
-) -> LinearController:
-    """Linearize the chain of controllers about their initial states and signals of zero."""
+) -> ControllerFormulas:
+    """Return the chain of controllers with symbols for its states and inputs."""
     outside = outside_names(controllers, "setpoints", "outputs")
     commands = unique((*outside, *inputs))
     y = ca.SX.sym("y", len(sensors))
@@ -366,10 +380,23 @@ def linear_controller(
 
     signals = dict(added)
     following = run_controllers(controllers, memory, entries_by_name(sensors, y), signals, added)
-    x = ca.SX(ca.vertcat(*memory))
     total = ca.vertcat(*[signals[name] for name in commands])
-    v = ca.vertcat(y, e)
-    blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
+    return ControllerFormulas(
+        commands,
+        ca.SX(ca.vertcat(*memory)),
+        ca.vertcat(y, e),
+        ca.SX(ca.vertcat(*following)),
+        ca.SX(total),
+    )
+
+
+@one_thread_at_a_time
+def linear_controller(
+    controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
+) -> LinearController:
+    """Linearize the chain of controllers about their initial states and signals of zero."""
+    commands, x, v, following, total = controller_formulas(controllers, sensors, inputs)
+    blocks = [ca.jacobian(f, z) for f in (following, total) for z in (x, v)]
     initial = [value for c in controllers for value in c.initial]
     numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
     return LinearController(commands, *[matrix.full() for matrix in numbers])

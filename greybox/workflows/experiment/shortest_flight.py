@@ -1,4 +1,4 @@
-"""Which sines a flight has, and for how long, so that it reaches wanted errors soonest.
+"""The sines of the shortest flight that reaches wanted errors, and their lengths.
 
 Begin with `shortest_flight`.
 """
@@ -13,14 +13,18 @@ from greybox.workflows.experiment.optimal_design import shares, time_needed
 
 # A flight that is shorter by less than this share is not worth another search.
 WORTH_WHILE = 1e-3
-# Sines are a third of an octave apart: closer ones tell nearly the same, and nothing of whether the
-# model is right elsewhere.
+# Smallest ratio of neighboring frequencies, a third of an octave: closer sines have nearly the same
+# information, and do not show whether the model is right elsewhere.
 APART = 2 ** (1 / 3)
+# Condition number of the information above which its inverse has no digit left.
+SINGULAR = 1e14
+# Rounding errors of lengths and variances.
+ROUNDING = 1e-9
 
 
 @frozen
 class Candidates:
-    """Sines that may be flown, n of them, and what a second of each tells of p parameters.
+    """Sines that may be flown, n of them, and the information of a second of each.
 
     Attributes
     ----------
@@ -41,38 +45,45 @@ class Candidates:
     periods: int
 
     def are_apart(self, places: IntArray, number: int) -> bool:
-        """Return whether sines at these increasing places are apart, as `number` of them can be.
+        """Return whether sines at these increasing places are far enough apart.
 
-        In a narrow band they are half as far apart as if they divided it evenly.
+        The smallest ratio of neighboring frequencies is `APART`. In a band that is too narrow for
+        `number` sines at this ratio, it is that of half the even spacing, on a logarithmic scale.
         """
-        evenly = (self.period[0] / self.period[-1]) ** (0.5 / number)
+        half_spacing = (self.period[0] / self.period[-1]) ** (0.5 / number)
         ratios = self.period[places[:-1]] / self.period[places[1:]]
-        return bool(np.all(ratios > min(APART, evenly) - 1e-9))
+        return bool(np.all(ratios > min(APART, half_spacing) - ROUNDING))
 
     def reaches(self, places: IntArray, seconds: Array) -> bool:
         """Return whether sines of these lengths reach all wanted errors."""
-        return bool(self._largest_variance(places, seconds) <= 1 + 1e-9)
+        return bool(self._largest_variance(places, seconds) <= 1 + ROUNDING)
 
     def _largest_variance(self, places: IntArray, seconds: Array) -> float:
+        """Return the largest variance of a wanted parameter, in units of its wanted error."""
         total = np.tensordot(seconds, self.information[places], 1)
-        # Beyond this condition number the inverse has no digit left.
-        if np.linalg.cond(total) > 1e14:
+        if np.linalg.cond(total) > SINGULAR:
             return np.inf
+        # Variances fall with one over the time: the factor on the time is the largest variance.
         return time_needed(total, self.matters)
 
     def flight(self, places: IntArray) -> "Flight":
         """Return the shortest flight of the sines at these places."""
-        period, least = self.period[places], self.periods * self.period[places]
+        period = self.period[places]
+        least = self.periods * period
         variance = self._largest_variance(places, least)
         if not np.isfinite(variance):
             return Flight(places, least, np.inf)
         seconds = least if variance <= 1 else self._longer(places, least, variance)
 
-        seconds = np.ceil(seconds / period - 1e-9) * period
-        # Rounding up all sines is more than the errors need: the longest periods first.
+        # With whole periods of all sines, the errors are smaller than wanted. A period is left out
+        # where the wanted errors allow it, the longest first.
+        seconds = np.ceil(seconds / period - ROUNDING) * period
         for k in np.argsort(-period, kind="stable"):
-            shorter = seconds - period * (np.arange(len(period)) == k)
-            if shorter[k] > least[k] - 0.5 * period[k] and self.reaches(places, shorter):
+            shorter = seconds.copy()
+            shorter[k] -= period[k]
+            # Lengths are whole periods: half a period allows for rounding.
+            has_enough_periods = shorter[k] > least[k] - 0.5 * period[k]
+            if has_enough_periods and self.reaches(places, shorter):
                 seconds = shorter
         return Flight(places, seconds, float(np.sum(seconds + self.overhead[places])))
 
@@ -85,35 +96,50 @@ class Candidates:
         from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
 
         informations = self.information[places]
+        # Lengths are in units of the time in which the `least` lengths, in proportion, reach the
+        # wanted errors.
+        unit = variance * least.sum()
 
-        def log_variance(seconds: Array) -> tuple[Array, Array]:
-            inverse = np.linalg.inv(np.tensordot(seconds, informations, 1))
+        def inverse_at(lengths: Array) -> Array:
+            return np.linalg.inv(np.tensordot(lengths * unit, informations, 1))
+
+        def constraints(lengths: Array) -> Array:
+            """Return minus the logarithms of the variances, which are one for a wanted error."""
+            return -np.log(np.diag(inverse_at(lengths))[self.matters])
+
+        def constraint_slopes(lengths: Array) -> Array:
+            inverse = inverse_at(lengths)
             slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
             variances = np.diag(inverse)[self.matters]
-            return np.log(variances), slope[self.matters] / variances[:, None]
+            return -(slope[self.matters] / variances[:, None]) * unit
 
-        unit = variance * least.sum()  # with all lengths in proportion, the errors are reached
-        lengths = minimize(
+        solution = minimize(
             np.sum,
             variance * least / unit,
             jac=np.ones_like,
             bounds=[(low, None) for low in least / unit],
-            constraints={
-                "type": "ineq",
-                "fun": lambda t: -log_variance(t * unit)[0],
-                "jac": lambda t: -log_variance(t * unit)[1] * unit,
-            },
+            constraints={"type": "ineq", "fun": constraints, "jac": constraint_slopes},
             method="SLSQP",
             options={"maxiter": 100, "ftol": 1e-7},
-        ).x
-        lengths = np.maximum(lengths * unit, least)
+        )
+        lengths = np.maximum(solution.x * unit, least)
         # The constraints hold to a few digits only: proportionally longer sines meet them.
         return lengths * max(self._largest_variance(places, lengths), 1.0)
 
 
 @frozen
 class Flight:
-    """The sines at these places of the candidates, their lengths in s, and the whole time in s."""
+    """The sines of a flight.
+
+    Attributes
+    ----------
+    places : (k,) array of int
+        The places of the sines among the candidates.
+    seconds : (k,) array, s
+        Their lengths.
+    total : float, s
+        The whole time; infinite if these sines cannot reach the wanted errors.
+    """
 
     places: IntArray
     seconds: Array
@@ -129,12 +155,14 @@ def shortest_flight(candidates: Candidates, fewest: int) -> Flight:
     """
     best = _of_optimal_design(candidates, fewest)
     while True:
-        flights = [
-            candidates.flight(places)
-            for places in _neighbors(best.places, len(candidates.period), fewest)
-            if candidates.are_apart(places, fewest) and _least_time(candidates, places) < best.total
-        ]
+        flights = []
+        for places in _neighbors(best.places, len(candidates.period), fewest):
+            if not candidates.are_apart(places, fewest):
+                continue
+            if _least_time(candidates, places) < best.total:
+                flights.append(candidates.flight(places))
         shorter = min(flights, key=lambda flight: flight.total, default=best)
+        # The negated comparison is also true where both are infinite.
         if not shorter.total < best.total * (1 - WORTH_WHILE):
             return best
         best = shorter
@@ -175,7 +203,7 @@ def _of_optimal_design(candidates: Candidates, fewest: int) -> Flight:
 
 
 def with_spare_sines(places: IntArray, count: int, fewest: int) -> IntArray:
-    """Return `fewest` places of `count` at least, the further ones in the widest gaps."""
+    """Add places in the widest gaps until there are `fewest` of `count`."""
     chosen = {*places.tolist()}
     while len(chosen) < min(fewest, count):
         edges = [-1, *sorted(chosen), count]

@@ -28,15 +28,13 @@ from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.workflows.identification.choices import Choice, choose
 from greybox.workflows.identification.measurement import Measurement, measure
-from greybox.workflows.identification.orders import select_orders
+from greybox.workflows.identification.orders import STARTS, select_orders
 from greybox.workflows.identification.selection import Candidate, Selection, held_by_bounds, select
 from greybox.workflows.identification.structure_fit import (
     Structure,
     problem_of_structure,
     stated_for,
 )
-
-STARTS = 20
 
 
 @frozen
@@ -131,7 +129,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     all_points : bool
         Also fit the frequencies that the check of the response warns about.
     starts, seed : int
-        Starts of every fit of `structures`.
+        Starts of every fit of `structures`, or other starts of the chosen rational one.
     **stated
         Fields of `greybox.identification.Settings`, such as ``axis="pitch"`` or
         ``output="theta=ATT.Pitch"``.
@@ -181,7 +179,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         # The structures of the first response are used for all, unless a filter is divided out of
         # it.
         linear = {} if series else measurements[0].linear
-        selection = select_orders(responses, through=series, linear=linear, **of_parameters)
+        selection = select_orders(
+            responses, through=series, linear=linear, starts=starts, seed=seed, **of_parameters
+        )
     return replace(result, selection=selection, through=tuple(filters))
 
 

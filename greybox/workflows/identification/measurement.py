@@ -54,10 +54,20 @@ from greybox.workflows.identification.systematic_errors import (
     with_systematic_errors,
 )
 
-INSTRUMENT, SETPOINT = "instrument", "setpoint"
+# Names of the injected signal and of the setpoint among the signals of a measurement.
+INSTRUMENT = "instrument"
+SETPOINT = "setpoint"
 
-# Findings that judge the estimate, not the record.
+# Subjects of findings that judge the estimate, not the record.
 OF_ESTIMATE = ("response", "coherence", "noise")
+
+# Share by which the band of a sweep is extended: the ends of a sweep that is found in a setpoint
+# are known from periods of a few samples.
+UNCERTAIN_BAND = 0.02
+
+# Fewest points to which a rational function is fitted: their six numbers are more than the smallest
+# rational function has unknowns.
+FEWEST_REFINED = 3
 
 FEEDBACK = (
     "In a loop, output noise returns through the controller to the input, and biases the direct "
@@ -153,25 +163,28 @@ class Settings:
 
 def _require_consistent(settings: Settings) -> None:
     """Raise ValueError for signals and names that are given twice, reserved or incomplete."""
-    stated = [f"input={settings.input}", f"output={settings.output}"]
-    stated += [f"conditioned={text}" for text in settings.conditioned]
-    pairs = [*settings.names, *map(named_signal, settings.conditioned)]
-    for j, k in combinations(range(len(pairs)), 2):
-        if any(a == b for a, b in zip(pairs[j], pairs[k], strict=True)):
+    arguments = [f"input={settings.input}", f"output={settings.output}"]
+    arguments += [f"conditioned={text}" for text in settings.conditioned]
+    names_and_signals = [*settings.names, *map(named_signal, settings.conditioned)]
+    for j, k in combinations(range(len(arguments)), 2):
+        name, signal = names_and_signals[j]
+        other_name, other_signal = names_and_signals[k]
+        if name == other_name or signal == other_signal:
             raise ValueError(
-                f"{stated[j]} and {stated[k]} are the same signal or have the same name."
+                f"{arguments[j]} and {arguments[k]} are the same signal or have the same name."
             )
     if settings.fields and not settings.announced:
         raise ValueError(
             f"fields={dict(settings.fields)} are those of a message that announces tests: give "
             "announced=MESSAGE too."
         )
-    if settings.instrument == pairs[1][1]:
+    _, (_, output) = settings.names
+    if settings.instrument == output:
         raise ValueError(
             f"instrument={settings.instrument} is the output, whose noise is not independent of "
             "it: give the injected signal."
         )
-    for name, _ in pairs:
+    for name, _ in names_and_signals:
         if name in (INSTRUMENT, SETPOINT):
             raise ValueError(
                 f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL."
@@ -235,33 +248,37 @@ class Measurement:
     def choices(self) -> tuple[str, ...]:
         """What was chosen and dropped, and why."""
         loop = "open loop, as stated" if self.settings.open_loop else loop_text(self.controller)
-        if self.used and self.used[0].kind == "sine":
-            estimate = (
-                "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
-            )
-        elif self.settings.period:
-            estimate = "averages over whole periods: the more periods, the less bias by feedback."
-        elif INSTRUMENT in self.signals:
-            estimate = (
-                "joint input-output estimate with the instrument "
-                f"{self.signals[INSTRUMENT]}. {FEEDBACK}."
-            )
-        else:
-            estimate = (
-                "direct estimate; in a closed loop, give the injected signal for the joint "
-                "estimate, instrument=..."
-            )
-
-        choices = [f"{loop}: {estimate}"]
+        choices = [f"{loop}: {self._estimate_text}"]
         conditioned = ", ".join(self.settings.conditioned)
         if conditioned:
             choices.append(f"conditioned: the effect of {conditioned} is removed.")
         about = self.response.about if self.response else {}
         for name in ("dropped", "left out", "converted", "refined", HOLD):
-            choices += [f"{name}: {about[name]}."] if name in about else []
+            if name in about:
+                choices.append(f"{name}: {about[name]}.")
         unstated = described_unstated_hold(about)
-        choices += [f"hold of the input: {unstated}."] if unstated else []
+        if unstated:
+            choices.append(f"hold of the input: {unstated}.")
         return tuple(choices)
+
+    @property
+    def _estimate_text(self) -> str:
+        """How the response was estimated."""
+        if self.used and self.used[0].kind == "sine":
+            return (
+                "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
+            )
+        if self.settings.period:
+            return "averages over whole periods: the more periods, the less bias by feedback."
+        if INSTRUMENT in self.signals:
+            return (
+                "joint input-output estimate with the instrument "
+                f"{self.signals[INSTRUMENT]}. {FEEDBACK}."
+            )
+        return (
+            "direct estimate; in a closed loop, give the injected signal for the joint "
+            "estimate, instrument=..."
+        )
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))
@@ -293,24 +310,20 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         controller = controller_in(recording, [control], [output]) or settings.setpoint
     if controller and not (are_sines or instrument or settings.period):
         _refuse_closed_loop(recording, settings, controller)
-    # All on one time base, so that a gap in one of them is a gap of the estimate.
-    signals = {u: control, y: output}
-    signals |= {INSTRUMENT: instrument} if instrument else {}
-    signals |= {SETPOINT: settings.setpoint} if settings.setpoint else {}
-    signals |= named_signals(settings.conditioned)
-
+    signals = _signals(settings, instrument)
     spans = [(segment.start, segment.end) for segment in used]
     record, log = _prepared(recording, settings, used, signals)
     recording = log.recording
-    # Time stamps of the log itself: those of the record are uniform.
-    raw, _ = recording.locate(output)
-    during = raw.between(*record.span)
+    # The jitter is that of the log: the time stamps of the record are uniform.
+    logged_output, _ = recording.locate(output)
+    logged_output = logged_output.between(*record.span)
     # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
     def quality_of(response: FrequencyResponse | None) -> Quality:
         quality = check(record, response, judged, input=u, output=y, faults=log.remaining or None)
-        return quality.with_findings(*jitter(during), *single_losses(during), *log.findings)
+        of_log = *jitter(logged_output), *single_losses(logged_output), *log.findings
+        return quality.with_findings(*of_log)
 
     quality = quality_of(None)
     response = None
@@ -342,31 +355,46 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = quality.with_findings(refused)
-        quality = quality if are_sines or settings.period else _with_period(quality, pieces, u)
+        if not (are_sines or settings.period):
+            quality = _with_period(quality, pieces, u)
     filters = named_filters(recording, axis_of(control))
     if response is not None:
         about = _about(recording, record, response, signals, filters, used, settings)
         response = replace(response, about=about)
     return Measurement(
-        settings,
-        tests,
-        tuple(used),
-        signals,
-        record,
-        response,
-        quality,
-        filters,
-        controller,
-        detail,
-        linear,
+        settings=settings,
+        tests=tests,
+        used=tuple(used),
+        signals=signals,
+        record=record,
+        response=response,
+        quality=quality,
+        filters=filters,
+        controller=controller,
+        detail=detail,
+        linear=linear,
     )
+
+
+def _signals(settings: Settings, instrument: str) -> dict[str, str]:
+    """Return all signals of a measurement by name."""
+    # They get one time base, so that a gap in one of them is a gap of the estimate.
+    signals = dict(settings.names)
+    if instrument:
+        signals[INSTRUMENT] = instrument
+    if settings.setpoint:
+        signals[SETPOINT] = settings.setpoint
+    return {**signals, **named_signals(settings.conditioned)}
 
 
 def _tests_and_used(
     recording: Recording, settings: Settings
 ) -> tuple[tuple[Segment, ...], list[Segment]]:
     """Return the chosen tests, and those that are evaluated: sines, or else all usable ones."""
-    tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
+    tests: tuple[Segment, ...] = ()
+    # A multisine of a stated period is evaluated over the whole log.
+    if not settings.period:
+        tests = tuple(_chosen(found_tests(recording, settings), settings))
     usable = [segment for segment in tests if segment.usable]
     sines = [segment for segment in usable if segment.kind == "sine"]
     # Sines are evaluated at their own frequency and sweeps over a band: one estimate cannot do
@@ -420,6 +448,7 @@ def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]
 
 
 def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
+    """Return the tests with the stated numbers and axis; raise ValueError if there are none."""
     chosen = list(segments)
     if settings.tests:
         chosen = [segments[k - 1] for k in _numbers(settings.tests, len(segments))]
@@ -434,6 +463,7 @@ def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
 
 
 def _numbers(text: str, count: int) -> Iterator[int]:
+    """Yield the numbers, from 1 to `count`, in a text such as ``"1,3-5"``."""
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
@@ -450,6 +480,7 @@ def _numbers(text: str, count: int) -> Iterator[int]:
 
 
 def _require_one_axis(used: Segments) -> None:
+    """Raise ValueError if the tests are of several axes."""
     axes = unique(segment.axis for segment in used)
     if len(axes) > 1:
         raise ValueError(
@@ -459,14 +490,15 @@ def _require_one_axis(used: Segments) -> None:
 
 
 def _within_band(sines: Segments, band: Interval) -> list[Segment]:
-    inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
-    if not inside:
+    """Return the sines with frequencies in the band; raise ValueError if there are none."""
+    low, high = band
+    within = [segment for segment in sines if low <= segment.omega <= high]
+    if not within:
         listed = ", ".join(f"{segment.omega:.4g}" for segment in sines)
         raise ValueError(
-            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {listed} "
-            "rad/s."
+            f"no sine lies in the band from {low:g} to {high:g} rad/s; there are {listed} rad/s."
         )
-    return inside
+    return within
 
 
 def _instrument(recording: Recording, settings: Settings, used: Segments) -> str:
@@ -490,12 +522,26 @@ def _rate(recording: Recording, settings: Settings, used: Segments) -> float | N
     if settings.rate is not None or not used or not used[0].source.startswith(INJECTED):
         return settings.rate
     # The injected signal is held, so that its messages may be slower than the others.
-    return min(1 / recording.locate(signal)[0].step for _, signal in settings.names)
+    rates = []
+    for _, signal in settings.names:
+        record, _ = recording.locate(signal)
+        rates.append(1 / record.step)
+    return min(rates)
 
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Segments, settings: Settings
 ) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
+    """Estimate the response.
+
+    Returns
+    -------
+    response : FrequencyResponse
+    points : FiniteFrequency or None
+        The points of sine tests; None for other tests.
+    linear : mapping of Orders to LinearFit
+        The rational functions that refined the estimate; empty without.
+    """
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -536,8 +582,7 @@ def _estimated(
         measured = estimate()
         # At the lowest frequencies, a response changes much from line to line, and the error of the
         # polynomials exceeds the noise. For the remainder of a rational function, it is far below.
-        # Three points have six numbers, more than the smallest rational function has unknowns.
-        if settings.refined and len(measured) >= 3:
+        if settings.refined and len(measured) >= FEWEST_REFINED:
             linear = linear_fits([measured.without_hold()])
             measured = estimate(near=partial(best_response, linear))
             about = {"refined": "the polynomials describe what the best rational function leaves"}
@@ -546,17 +591,20 @@ def _estimated(
 
 
 def _with_period(quality: Quality, pieces: Sequence[Record], control: str) -> Quality:
-    """Say that the excitation repeats itself: noise cannot be told from it between its lines.
+    """Add a finding if the excitation repeats itself: it has power only at its own lines.
 
-    Then whatever refuses the estimate over a band is only the look of these lines.
+    An estimate over a band cannot distinguish these lines from noise. Its own refusal is then
+    replaced by this finding, which states the cause.
     """
     longest = max(pieces, key=len)
-    excitation = INSTRUMENT if INSTRUMENT in longest.signals else control
+    excitation, title = control, control
+    if INSTRUMENT in longest.signals:
+        excitation, title = INSTRUMENT, "the instrument"
     period = longest.step * period_of(longest[excitation])
     if math.isnan(period):
         return quality
     text = (
-        f"{'the instrument' if excitation == INSTRUMENT else control} repeats itself every "
+        f"{title} repeats itself every "
         f"{number(period, 6)} s, as multisines do, and has power only at its own lines: state it, "
         f"period={number(period, 6)}."
     )
@@ -587,11 +635,14 @@ def _beyond_sweep(response: FrequencyResponse, used: Segments) -> Findings:
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
-    # 2 %: the ends of a sweep that is found in a setpoint are known from periods of a few samples.
     omega = response.omega
-    outside = [(omega < 0.98 * low) | (omega > 1.02 * high) for low, high in bands]
     # A gap in the log that cuts a sweep leaves a hole between two bands.
-    beyond = omega[np.all(outside, axis=0)]
+    is_excited = np.zeros(len(omega), dtype=bool)
+    for low, high in bands:
+        is_below = omega < (1 - UNCERTAIN_BAND) * low
+        is_above = omega > (1 + UNCERTAIN_BAND) * high
+        is_excited |= ~(is_below | is_above)
+    beyond = omega[~is_excited]
     if beyond.size:
         text = f"{counted(beyond.size, 'point')} beyond the sweep, at {frequencies(beyond)}."
         yield Finding("band", "warning", math.nan, text, tuple(beyond.tolist()))
@@ -599,15 +650,18 @@ def _beyond_sweep(response: FrequencyResponse, used: Segments) -> Findings:
 
 def _without_warned(response: FrequencyResponse, quality: Quality) -> FrequencyResponse:
     """Return the response without the points that a warning names, and with a note on them."""
-    # If a warning holds for all points, leaving them out would leave nothing: the warning stays.
-    warned = {omega for f in quality.findings if f.severity == "warning" for omega in f.omega}
-    rows = np.isin(response.omega, [*warned])
-    if not rows.any() or rows.all():
+    warned: set[float] = set()
+    for finding in quality.findings:
+        if finding.severity == "warning":
+            warned.update(finding.omega)
+    is_warned = np.isin(response.omega, [*warned])
+    # A warning on all points stays: without them, nothing would remain.
+    if not is_warned.any() or is_warned.all():
         return response
-    places = ", ".join(f"{omega:.4g}" for omega in response.omega[rows])
-    count = counted(int(rows.sum()), "point")
-    text = f"{count} of {rows.size} at {places} rad/s (see the warnings)"
-    return replace(response.where(~rows), about={**response.about, "left out": text})
+    places = ", ".join(f"{omega:.4g}" for omega in response.omega[is_warned])
+    count = counted(int(is_warned.sum()), "point")
+    text = f"{count} of {is_warned.size} at {places} rad/s (see the warnings)"
+    return replace(response.where(~is_warned), about={**response.about, "left out": text})
 
 
 def _about(
@@ -620,6 +674,14 @@ def _about(
     settings: Settings,
 ) -> Mapping[str, str]:
     """Return the origin of a response, for its file."""
+    filter_texts = []
+    for name in (response.input, response.output):
+        for known in record.filters.get(name, ()):
+            filter_texts.append(f"{name} was logged behind a {known}")
+    band = ""
+    if settings.band is not None:
+        low, high = settings.band
+        band = f"{low:.5g} to {high:.5g} rad/s"
     return non_empty(
         {
             "log": recording.source,
@@ -629,42 +691,41 @@ def _about(
             "sampling": f"{record.rate:.5g} Hz",
             "excitation": _excitation(used),
             "estimate": _kind(signals, used, settings),
-            "filter": "; ".join(
-                f"{name} was logged behind a {known}"
-                for name in (response.input, response.output)
-                for known in record.filters.get(name, ())
-            ),
+            "filter": "; ".join(filter_texts),
             **{name: in_series(known) for name, known in filters.items()},
-            "band": ""
-            if settings.band is None
-            else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
+            "band": band,
             **response.about,
         }
     )
 
 
 def _kind(signals: Mapping[str, str], used: Segments, settings: Settings) -> str:
+    """Return the kind of the estimate, in words."""
     if used and used[0].kind == "sine":
         return "single sines"
-    way = "periodic" if settings.period else "spectral"
-    return (
-        f"{way}, joint input-output with {signals[INSTRUMENT]}"
-        if INSTRUMENT in signals
-        else f"{way}, direct"
-    )
+    kind = "periodic" if settings.period else "spectral"
+    if INSTRUMENT in signals:
+        return f"{kind}, joint input-output with {signals[INSTRUMENT]}"
+    return f"{kind}, direct"
 
 
 def _excitation(used: Segments) -> str:
+    """Return number, axis, amplitudes, band and times of the tests, in words."""
     if not used:
         return ""
-    low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)
-    sizes = [s.amplitude for s in used if math.isfinite(s.amplitude)]
-    ends = unique(number(size, 3) for size in (min(sizes), max(sizes))) if sizes else ()
-    size = f", amplitude {' to '.join(ends)} {used[0].unit}".rstrip() if ends else ""
     axis = f" of {used[0].axis}" if used[0].axis else ""
-    times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"
-    band = f"{low:.4g} to {high:.4g} rad/s"
-    return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
+    amplitude = ""
+    amplitudes = [segment.amplitude for segment in used if math.isfinite(segment.amplitude)]
+    if amplitudes:
+        ends = unique((number(min(amplitudes), 3), number(max(amplitudes), 3)))
+        amplitude = f", amplitude {' to '.join(ends)} {used[0].unit}".rstrip()
+    lowest = min(segment.band[0] for segment in used)
+    highest = max(segment.band[1] for segment in used)
+    band = f"{lowest:.4g} to {highest:.4g} rad/s"
+    start = min(segment.start for segment in used)
+    end = max(segment.end for segment in used)
+    times = f"{start:.2f} to {end:.2f} s"
+    return f"{counted(len(used), used[0].kind)}{axis}{amplitude}, {band}, {times}"
 
 
 def _conversions(recording: Recording, signals: Mapping[str, str]) -> Iterator[str]:
@@ -674,6 +735,7 @@ def _conversions(recording: Recording, signals: Mapping[str, str]) -> Iterator[s
         unit = log.units.get(field_name, "")
         conversion = known_unit(unit)
         if conversion and conversion.changes:
-            cut = unit == "deg" and is_truncated(signal, log[field_name])
-            half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
-            yield f"{name} from {unit} to {conversion.si}{half}"
+            text = f"{name} from {unit} to {conversion.si}"
+            if unit == "deg" and is_truncated(signal, log[field_name]):
+                text += f" with half a step of {STEP} {unit}, which the log truncates"
+            yield text

@@ -42,7 +42,7 @@ INTEGRATORS = 2
 # tried first: more than one turn, in steps narrower than a minimum is wide.
 TURN = 8.0
 DELAYS = 16
-STARTS = 10  # of the chosen structure, to see whether its minimum is the lowest
+STARTS = 20  # other ones of the chosen structure, to see whether its minimum is the lowest
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArra
     return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
 
 
-def select_orders(
+def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
     data: FrequencyResponse | Sequence[FrequencyResponse],
     n: Sequence[int] = (),
     m: Sequence[int] = (),
@@ -117,6 +117,8 @@ def select_orders(
     delay: bool = True,
     through: Sequence[TransferFunction] = (),
     linear: Mapping[Orders, LinearFit] | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
     **stated: Any,
 ) -> Selection:
     """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
@@ -127,7 +129,7 @@ def select_orders(
     variances, otherwise `RelativeLikelihood`. A bound that a parameter touches is widened. A delay
     that ends at zero is left out and named: the errors are then those of a plant without a delay,
     whose intervals contained 96 % of 239 coefficients of vehicles without one. The chosen structure
-    is fitted again from ten other starts, which show whether its minimum is the lowest.
+    is fitted again from other starts, which show whether its minimum is the lowest.
 
     Parameters
     ----------
@@ -142,6 +144,8 @@ def select_orders(
         Filters in series with the plant.
     linear : mapping of Orders to LinearFit, optional
         The structures with their starts, instead of those of the grid.
+    starts, seed : int
+        Number of the other starts of the chosen structure, and their seed.
     **stated
         `fixed`, `bounds` and `start` of parameters, as in `Problem`: ``b0`` and ``a0`` upwards, and
         ``T_delay``.
@@ -198,17 +202,17 @@ def select_orders(
         )
     # In order of size, as the table is read.
     candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
-    return _confirmed(select(candidates, "\n".join(notes)))
+    return _confirmed(select(candidates, "\n".join(notes)), Sobol(starts, seed))
 
 
-def _confirmed(selection: Selection) -> Selection:
+def _confirmed(selection: Selection, others: Sobol) -> Selection:
     """Return the selection with other starts of the chosen structure that reach its minimum."""
     chosen = selection.chosen
     if chosen is None:
         return selection
     searched = fit(
         problem_of(chosen.fit),
-        [selected(chosen.fit.estimate, chosen.fit.free), Sobol(STARTS)],
+        [selected(chosen.fit.estimate, chosen.fit.free), others],
         profiles=False,
         progress=False,
     )

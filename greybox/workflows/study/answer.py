@@ -41,6 +41,7 @@ class Misfit(TypedDict, total=False):
     """What of a misfit the tables show."""
 
     explains: bool | None
+    is_conditional: bool
     p_value: float | None
 
 

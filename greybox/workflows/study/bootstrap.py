@@ -55,6 +55,23 @@ from greybox.workflows.study.response_replicates import ResponseReplicates, resp
 from greybox.workflows.study.stored_runs import StoredRuns
 from greybox.workflows.study.study_lock import locked
 
+# Relative distance within which a replicate counts as being at a bound: IPOPT's barrier keeps
+# estimates this far from it.
+BARRIER = 1e-4
+
+# Ratio of the two sides of an interval above which the data bound a parameter on one side only.
+# Intervals of poles far above the band reached at least 2.5 times as far to one side as to the
+# other, those of lags and of the tilt model at most 2.1 times (`benchmarks/bootstrap_coverage.py`).
+ASYMMETRIC = 2.5
+
+# Share of failed replicates that is reported. Replicates may fail because their estimates lie far
+# out: beyond twice the share of a tail of a 95 % interval, the tails of the others say little.
+MANY_FAILED = 0.05
+
+# Replicates beyond an end of an interval that leave this end uncertain by a quarter of a standard
+# error.
+FEWEST_IN_TAIL = 4
+
 
 @frozen
 class Bootstrap(Printed):
@@ -137,30 +154,28 @@ class Bootstrap(Printed):
         # lie as far out as those of Student's t with the degrees of freedom of the fit.
         intervals = {}
         for q in self.quantities:
-            values, share = self[q.name], tail(level, q.dof)
+            values = self[q.name]
+            share = tail(level, q.dof)
             low = high = math.nan
             if values.size and math.isfinite(share):
                 low, high = np.quantile(values, [share, 1 - share]).tolist()
             lower, upper = q.bounds
-            intervals[q.name] = (
-                # IPOPT's barrier keeps an estimate this far from its bound.
-                -math.inf if math.isclose(low, lower, rel_tol=1e-4) else low,
-                math.inf if math.isclose(high, upper, rel_tol=1e-4) else high,
-            )
+            if math.isclose(low, lower, rel_tol=BARRIER):
+                low = -math.inf
+            if math.isclose(high, upper, rel_tol=BARRIER):
+                high = math.inf
+            intervals[q.name] = (low, high)
         return intervals
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Remark on the parameters that the data bound on one side only."""
-        # Intervals of poles far above the band reached at least 2.5 times as far to one side as to
-        # the other, those of lags and of the tilt model at most 2.1 times
-        # (`benchmarks/bootstrap_coverage.py`).
         names = []
         intervals = self.interval()
         for q in self.quantities:
             low, high = intervals[q.name]
             shorter, longer = sorted((q.value - low, high - q.value))
-            if longer > 2.5 * max(shorter, 0.0):
+            if longer > ASYMMETRIC * max(shorter, 0.0):
                 names.append(q.name)
         if not names:
             return ()
@@ -183,18 +198,19 @@ class Bootstrap(Printed):
         title = f"{self.name}: bootstrap, {self.about}; "
         title += f"{counted(len(self.values), 'replicate')}{failed}"
         header = ["", "estimate", "± error", "± fit", "bias", "unit", f"{100 * level:g} % interval"]
-        rows = [
-            [
-                name,
-                number(q["estimate"]),
-                number(q["standard_error"], 3),
-                number(q["fit_standard_error"], 3),
-                number(q["bias"], 2),
-                q["unit"],
-                interval_text(q["interval"]),
-            ]
-            for name, q in self.summary(level)["quantities"].items()
-        ]
+        rows = []
+        for name, q in self.summary(level)["quantities"].items():
+            rows.append(
+                [
+                    name,
+                    number(q["estimate"]),
+                    number(q["standard_error"], 3),
+                    number(q["fit_standard_error"], 3),
+                    number(q["bias"], 2),
+                    q["unit"],
+                    interval_text(q["interval"]),
+                ]
+            )
         lines = [text_table(header, rows, left=(0, 5, 6)), ""]
         lines += [f"warning: {text}" for text in self.warnings]
         lines += [f"note: {text}" for text in self.notes]
@@ -205,6 +221,18 @@ class Bootstrap(Printed):
         error = self.standard_error
         bias = self.bias
         intervals = self.interval(level)
+        quantities = {}
+        for q in self.quantities:
+            low, high = intervals[q.name]
+            is_known = not (math.isnan(low) or math.isnan(high))
+            quantities[q.name] = {
+                "unit": q.unit,
+                "estimate": q.value,
+                "standard_error": error[q.name],
+                "fit_standard_error": q.standard_error,
+                "bias": bias[q.name],
+                "interval": (low, high) if is_known else None,
+            }
         return plain(
             {
                 "problem": self.name,
@@ -214,19 +242,7 @@ class Bootstrap(Printed):
                 "failed": self.failed,
                 "statuses": Counter(status for status in self.statuses if status),
                 "level": level,
-                "quantities": {
-                    q.name: {
-                        "unit": q.unit,
-                        "estimate": q.value,
-                        "standard_error": error[q.name],
-                        "fit_standard_error": q.standard_error,
-                        "bias": bias[q.name],
-                        "interval": None
-                        if any(map(math.isnan, intervals[q.name]))
-                        else intervals[q.name],
-                    }
-                    for q in self.quantities
-                },
+                "quantities": quantities,
                 "warnings": self.warnings,
                 "notes": self.notes,
                 "seconds": self.seconds,
@@ -325,25 +341,12 @@ def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
     require_whole("replicates", replicates, 2)
     require_whole("seed", seed, 0)
     require_executor(executor)
-    obstacles = {
-        "manoeuvres, which are not drawn yet": fit.spectra,
-        "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
-        "records and responses, which cannot be drawn together": fit.records and fit.responses,
-        "residuals that correct its states, which cannot be drawn and added": any(
-            part.gains for part in fit.records
-        ),
-    }
-    for obstacle, present in obstacles.items():
-        if present:
-            raise ValueError(
-                f"the fit {fit.name!r} has {obstacle}: use the standard errors; if there are none, "
-                "its warnings say what to do."
-            )
+    _require_drawable(fit)
     nlp = compiled_again(fit, problem, method)
     runner = _refits(fit, nlp, seed)
     # Fixed values, and what follows from them alone, are the same in every replicate.
-    lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
-    function = quantity_function(nlp, [q.name for q in lines])
+    quantities = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
+    function = quantity_function(nlp, [q.name for q in quantities])
 
     outcomes: Outcomes = []
     # A replicate is its number: workers draw the data themselves, so that the result does not
@@ -367,10 +370,11 @@ def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
                 runs.write()
     if not outcomes:
         raise KeyboardInterrupt
-    points = [
-        np.append(outcome.estimate, runner.draws.of(k)[0]) for k, outcome in enumerate(outcomes)
-    ]
     # Derived quantities follow from the drawn constants too, so that their errors are included.
+    points = []
+    for k, outcome in enumerate(outcomes):
+        constants, _ = runner.draws.of(k)
+        points.append(np.append(outcome.estimate, constants))
     values = np.asarray(function(np.array(points).T)).T.copy()
     # Where a refit failed, its last point says nothing about the estimate.
     values[[not outcome.converged for outcome in outcomes]] = np.nan
@@ -379,10 +383,10 @@ def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
         name=fit.name,
         about=runner.draws.about,
         seed=seed,
-        quantities=tuple(lines),
+        quantities=tuple(quantities),
         values=values,
         statuses=statuses,
-        warnings=tuple(replicate_warnings(statuses, min(q.dof for q in lines))),
+        warnings=tuple(replicate_warnings(statuses, min(q.dof for q in quantities))),
         seconds=time.perf_counter() - began,
     )
     if interrupted:
@@ -394,7 +398,26 @@ def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
     return samples
 
 
+def _require_drawable(fit: Fit) -> None:
+    """Raise ValueError for a fit whose data cannot be drawn."""
+    obstacles = {
+        "manoeuvres, which are not drawn yet": fit.spectra,
+        "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
+        "records and responses, which cannot be drawn together": fit.records and fit.responses,
+        "residuals that correct its states, which cannot be drawn and added": any(
+            part.gains for part in fit.records
+        ),
+    }
+    for obstacle, is_present in obstacles.items():
+        if is_present:
+            raise ValueError(
+                f"the fit {fit.name!r} has {obstacle}: use the standard errors; if there are none, "
+                "its warnings say what to do."
+            )
+
+
 def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:
+    """Return the accuracy at the estimate x (p,); raise ValueError without degrees of freedom."""
     accuracy = accuracy_at(nlp, x, trajectories)
     if not accuracy.parts:
         raise ValueError(
@@ -405,6 +428,7 @@ def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]
 
 
 def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
+    """Return the object that draws data and fits them again."""
     x = fit.minima[0].estimate
     if not fit.records:
         return ResponseReplicates(nlp, response_draws(_accuracy(nlp, x, ()), seed), x)
@@ -436,25 +460,23 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
 
 def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
     """Warn of many failed replicates, and of too few replicates for an interval."""
-    # Replicates may fail because their estimates lie far out. Beyond 5 %, twice the share of a tail
-    # of a 95 % interval, the tails of the others say little.
     failed = Counter(status for status in statuses if status)
-    if failed.total() > 0.05 * len(statuses):
+    if failed.total() > MANY_FAILED * len(statuses):
         reasons = ", ".join(f"{count} {status}" for status, count in failed.most_common(3))
         yield (
             f"{failed.total()} of {len(statuses)} replicates failed ({reasons}): the others may "
             "lack the tails of the distribution."
         )
-    # Four replicates beyond an end of an interval leave it uncertain by a quarter of a standard
-    # error.
-    needed = 4 / tail(0.95, dof)
+    share = tail(0.95, dof)
+    needed = FEWEST_IN_TAIL / share
     if len(statuses) < needed:
-        few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
-        cure = f"make {math.ceil(needed / 100) * 100} instead of {len(statuses)}"
-        # The next hundred thousand replicates would take hours.
+        condition = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
+        hundreds = math.ceil(needed / 100)
+        cure = f"make {100 * hundreds} instead of {len(statuses)}"
+        # A hundred thousand replicates would take hours.
         if needed > 1e5:
             cure = "take a profile instead, gb.profile or greybox profile"
         yield (
-            f"{few}{100 * tail(0.95, dof):.2g} % of the replicates lie beyond each end of a 95 % "
+            f"{condition}{100 * share:.2g} % of the replicates lie beyond each end of a 95 % "
             f"interval: {cure}."
         )

@@ -1,4 +1,4 @@
-"""Grids of members: lists of models, of data and of settings are combined in all ways.
+"""Grids of members: every combination of lists of models, of data and of settings.
 
 Begin with `grid`.
 """
@@ -19,10 +19,21 @@ from greybox.workflows.study.stated_problem import OF_DATA, OF_PARAMETERS, state
 
 # Keys whose single value is a list: only a list of lists multiplies.
 SEQUENCES = ("free", "through", "band")
+# Keys that are arguments of a `Member`, not of its problem.
 OF_MEMBER = ("name", "starts", "seed", "search", "solver_options")
 KEYS = (
-    *("problem", "model", "joint", "held", *OF_DATA, "band", "criterion", "delay", "method"),
-    *("free", *OF_PARAMETERS, *OF_MEMBER),
+    "problem",
+    "model",
+    "joint",
+    "held",
+    *OF_DATA,
+    "band",
+    "criterion",
+    "delay",
+    "method",
+    "free",
+    *OF_PARAMETERS,
+    *OF_MEMBER,
 )
 
 
@@ -52,8 +63,9 @@ def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
     ValueError
         For keys that do not exist, and values that do not fit together.
     """
-    stated = {"model": models, "data": data, **settings}
-    return members_of({key: x for key, x in stated.items() if x is not None}, Path())
+    choices = {"model": models, "data": data, **settings}
+    stated = {key: choice for key, choice in choices.items() if choice is not None}
+    return members_of(stated, Path())
 
 
 def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
@@ -64,68 +76,85 @@ def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
     Raises
     ------
     ValueError
-        In one sentence, for any mistake.
+        For a key that does not exist, or a value that does not fit.
     """
     require_known(choices, KEYS, "key", "a member of a study")
     read = reading_once()
     members = []
     for values in combined(choices, folder):
-        own = selected(values, OF_MEMBER)
+        of_member = selected(values, OF_MEMBER)
         try:
             problem, settings = stated_problem(values, read)
-            if values["held"]:  # they are read and cut to the band like the data
+            # Held-out data are read and cut to the band like the data.
+            if values["held"]:
                 held, _ = stated_problem({**values, "data": values["held"]}, read)
-                own["held"] = [part.data for part in held.parts]
-            members.append(Member(problem, **{**settings, **own}))
+                of_member["held"] = [part.data for part in held.parts]
+            members.append(Member(problem, **{**settings, **of_member}))
         except UnreadableError as error:
-            members.append(Member(error, **own))
+            members.append(Member(error, **of_member))
         except (ValueError, TypeError, LookupError, OSError) as error:
-            raise ValueError(f"member {own['name']!r}: {error.args[-1]}") from error
+            # The sentence is the last argument of these errors: an OSError has its number first.
+            raise ValueError(f"member {of_member['name']!r}: {error.args[-1]}") from error
     return members
 
 
 def combined(choices: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield all combinations of the values of keys; their names have the values that differ.
+    """Yield all combinations of the values of keys.
 
-    Data of a combination are a list of files, by their paths from the folder, and of values.
+    Each is named by its first key and by the values that vary. Its data are a list of file paths,
+    from the folder, and of data objects.
     """
     axes = {key: _values(key, value, folder) for key, value in choices.items()}
     held = _files(axes.pop("held", []), folder)
-    joint = [axes.pop("joint")] if "joint" in axes else []
-    lists: list[list[Any]] = []
-    stated = [*axes.pop("data", []), *joint]
-    for item in stated:
-        is_joint = isinstance(item, list | tuple)
-        files = [file for file in _files(item if is_joint else [item], folder) if file not in held]
-        lists += [files] if is_joint else [[file] for file in files]
-
-    axes = {"data": lists, **axes} if stated else axes
+    data = axes.pop("data", [])
+    if "joint" in axes:
+        data = [*data, axes.pop("joint")]
+    data_lists = _data_lists(data, folder, held)
+    if data:
+        axes = {"data": data_lists, **axes}
     for key, values in axes.items():
         if not values:
             raise ValueError(f"{key} is empty: give at least one value besides those of held.")
+
     # Names contain the parts of file paths that differ.
-    paths = [file for files in lists for file in files if isinstance(file, str)]
-    place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""
-    first = next((key for key in ("name", "problem", "data") if key in axes), "model")
-    varied = [key for key in axes if len(axes[key]) > 1 and key != first]
+    parents = []
+    for files in data_lists:
+        parents += [Path(file).parent for file in files if isinstance(file, str)]
+    place = os.path.commonpath(parents) if parents else ""
+    heading = next((key for key in ("name", "problem", "data") if key in axes), "model")
+    varied = [key for key in axes if len(axes[key]) > 1 and key != heading]
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
-        head = _label(first, chosen.get(first, ""), place)
-        varied_text = ", ".join(_label(key, chosen[key], place) for key in varied)
-        name = f"{head}: {varied_text}" if varied_text else head
+        name = _label(heading, chosen.get(heading, ""), place)
+        if varied:
+            name += ": " + ", ".join(_label(key, chosen[key], place) for key in varied)
         yield {**chosen, "name": name, "held": held}
+
+
+def _data_lists(data: Sequence[Any], folder: Path, held: Sequence[Any]) -> list[list[Any]]:
+    """Return the data of every member: one of the files, or all files of a list within `data`."""
+    data_lists: list[list[Any]] = []
+    for item in data:
+        is_joint = isinstance(item, list | tuple)
+        files = [file for file in _files(item if is_joint else [item], folder) if file not in held]
+        if is_joint:
+            data_lists.append(files)
+        else:
+            data_lists += [[file] for file in files]
+    return data_lists
 
 
 def _values(key: str, value: Any, folder: Path) -> list[Any]:
     """Return the values of a key: those of a list, or the only one."""
     is_many = isinstance(value, list)
-    if key in SEQUENCES:  # a single value is a list: a list of lists multiplies
+    if key in SEQUENCES:
         is_many = is_many and all(isinstance(item, list | tuple) for item in value)
-    # A study must not depend on the folder in which the command runs.
-    return [
-        str(folder / item) if isinstance(item, str) and re.match(r".+\.py(:|$)", item) else item
-        for item in (value if is_many else [value])
-    ]
+    values = []
+    for item in value if is_many else [value]:
+        # A study must not depend on the folder in which the command runs.
+        is_python_file = isinstance(item, str) and re.match(r".+\.py(:|$)", item)
+        values.append(str(folder / item) if is_python_file else item)
+    return values
 
 
 def _files(items: Sequence[Any], folder: Path) -> list[Any]:
@@ -136,10 +165,14 @@ def _files(items: Sequence[Any], folder: Path) -> list[Any]:
     ValueError
         For a pattern without a file.
     """
-    files = []
+    files: list[Any] = []
     for item in items:
-        path = str(folder / item) if isinstance(item, str | Path) else ""
-        matches = (sorted(glob(path, recursive=True)) or glob(escape(path))) if path else [item]
+        if not isinstance(item, str | Path):
+            files.append(item)
+            continue
+        path = str(folder / item)
+        # The name of a file may have brackets, as a pattern does.
+        matches = sorted(glob(path, recursive=True)) or glob(escape(path))
         if not matches:
             raise ValueError(f"{str(item)!r} matches no file in {folder.absolute()}.")
         files += matches
@@ -159,5 +192,6 @@ def _label(key: str, value: Any, place: str) -> str:
         # my.py:Linear goes by the name Linear, and a problem my.py:pitch by my:pitch.
         name = Path(value).name.replace(".py", "")
         return name.rpartition(":")[2] if key == "model" else name
-    text = " ".join(map(str, value)) or "nothing" if isinstance(value, list | tuple) else value
-    return getattr(value, "name", "") or getattr(value, "label", "") or f"{key} {text}"
+    if isinstance(value, list | tuple):
+        return f"{key} {' '.join(map(str, value)) or 'nothing'}"
+    return getattr(value, "name", "") or getattr(value, "label", "") or f"{key} {value}"

@@ -27,6 +27,7 @@ from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, some
 from greybox.data.pandas_frames import Frame
 from greybox.modeling.model import require_known
+from greybox.workflows.study.answer import Misfit
 from greybox.workflows.study.latex import latex_number, latex_symbol, latex_table
 from greybox.workflows.study.members import FACTORS, Status, StudyMember, read_members
 from greybox.workflows.study.ranking import Result, ranking
@@ -107,7 +108,8 @@ class Study(Printed):
         parameter is ``pivot(index="member", columns="parameter", values="value")``. The
         columns are ``member``, the factors, ``grade, cost, converged, agreeing, minima, held_out``
         (the error of held-out predictions in percent), ``explains`` (whether the model explains
-        the data), ``starts, warnings, reason``, then
+        the data; None if it does only where errors drift, are correlated, or are large),
+        ``starts, warnings, reason``, then
         ``parameter, value, standard_error``, the ends ``low, high`` of the 95 % interval, and
         ``unit``. A member without an estimate has one row without a parameter.
 
@@ -272,7 +274,7 @@ def _rows(member: StudyMember) -> Iterator[dict[str, Any]]:
         **member.factors,
         "grade": answer["verdict"]["grade"] if is_done else "",
         **{name: answer.get(name) for name in numbers},
-        "explains": (answer.get("misfit") or {}).get("explains"),
+        "explains": _explains(answer.get("misfit") or {}),
         "starts": member.runs,
         "warnings": len(answer["warnings"]) if is_done else None,
         "reason": member.reason,
@@ -284,6 +286,11 @@ def _rows(member: StudyMember) -> Iterator[dict[str, Any]]:
         low, high = intervals.get(name, (None, None))
         row = {"parameter": name, "value": values.get(name), "standard_error": error}
         yield {**common, **row, "low": low, "high": high, "unit": units.get(name, "")}
+
+
+def _explains(misfit: Misfit) -> bool | None:
+    """Return whether a model explains its data; None if it does on a condition, or nobody knows."""
+    return None if misfit.get("is_conditional") else misfit.get("explains")
 
 
 def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:

@@ -489,19 +489,28 @@ def test_parts_may_disagree_without_a_cause():
     ("left", "drift", "words"),
     [
         (0.24, 0.9, "explains the data: the residuals follow none"),
-        (0.83, 0.1, "explains the data: the residuals (83 % of the variance) follow none"),
-        (0.83, 0.9, "may explain the data: 83 % of their variance is left and follows none"),
+        (
+            0.44,
+            0.1,
+            "is not contradicted by the data: 44 % of their variance is left and follows none",
+        ),
+        (
+            0.83,
+            0.9,
+            "is not contradicted by the data: 83 % of their variance is left and follows none",
+        ),
     ],
 )
 def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
     misfit = Misfit(left, left, 3, (), p_common=1.0, drift=drift, is_unstable=False)
     assert misfit.verdict.startswith(f"{words} of 3 missing terms")
+    assert misfit.is_conditional == (left > 0.25)
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.05, 0.6, 0.9])
 def test_how_much_of_the_residuals_their_past_predicts_is_said(drift):
     misfit = Misfit(0.02, 0.02, 3, (), p_common=1.0, drift=drift, is_unstable=False)
-    words = f"not white: earlier samples predict {100 * drift:.0f} % of their variance"
+    words = f"earlier samples predict {100 * drift:.0f} % of these residuals, which are not white"
     assert (words in misfit.verdict) == (drift > 0.5)
 
 

@@ -57,7 +57,7 @@ def test_likelihoods_are_those_of_weight_one():
     fit = gb.fit(gb.Problem(Lag(), DATA, gb.MaximumLikelihood()), starts=3)
     assert is_likelihood(fit)
     assert not is_likelihood(replace(fit, parts=(replace(fit.parts[0], weight=2.0),)))
-    assert not is_likelihood(gb.fit(gb.Problem(Lag(), DATA), starts=3))
+    assert not is_likelihood(gb.fit(gb.Problem(Lag(), DATA, gb.RelativeError()), starts=3))
 
 
 def test_labels_tell_fits_of_one_model_apart(fits):

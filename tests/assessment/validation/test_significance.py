@@ -73,11 +73,25 @@ def test_a_few_large_errors_do_not_hide_which_model_is_better_in_nearly_all_wind
     worse[3] = 300.0
     sentence = verdict(shifted(made, errors), shifted(made, worse))
     assert sentence.startswith("a predicts held-out data better than b, in 100 % of")
-    assert "sign test" in sentence
+    assert "by the ratios of their squared errors" in sentence
     # As many windows of either sign show nothing, however large the largest is.
     mixed = errors + np.where(np.arange(len(made)) % 2, 0.5, -0.5)
     mixed[3] = 300.0
     assert verdict(shifted(made, errors), shifted(made, mixed)).startswith("The data do not show")
+
+
+def test_errors_that_swell_slowly_do_not_hide_a_difference_of_a_factor_of_thirty(fits):
+    """A mean of few independent swellings shows little, while the smallest error is ten times that of the other."""
+    made = gb.predict(fits[1], horizon=0.2)
+    random = np.random.default_rng(0)
+    errors = 0.00098 * np.exp(0.3 * random.normal(size=len(made)))
+    swelling = 2.0 * np.exp(-(((np.arange(len(made)) - 0.5 * len(made)) / 8) ** 2))
+    worse = 0.0085 * np.exp(0.3 * random.normal(size=len(made)) + swelling)
+    sentence = verdict(shifted(made, errors), shifted(made, worse))
+    assert sentence.startswith("a predicts held-out data better than b, in 100 % of")
+    # Errors of the same size that swell at other times show nothing.
+    later = 0.0085 * np.exp(0.3 * random.normal(size=len(made)) + np.roll(swelling, 12))
+    assert verdict(shifted(made, worse), shifted(made, later)).startswith("The data do not show")
 
 
 @pytest.mark.parametrize(

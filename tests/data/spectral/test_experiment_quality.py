@@ -331,7 +331,7 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     assert told["saturation"][0] == "refusal"
     assert told["saturation"][1] == pytest.approx(limited, abs=0.01)
     assert told["saturation"][2].startswith(
-        f"the control u is at a limit for {100 * told['saturation'][1]:.0f} % of"
+        f"the control u rests at its largest or smallest value for {100 * told['saturation'][1]:.0f} % of"
     )
     assert told["noise"][:2] == ("warning", pytest.approx(np.sqrt(0.18 / 2) / 2))
     assert told["noise"][2].startswith("half of the points have a standard deviation above 15 %")
@@ -342,7 +342,7 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     assert quality.refusals == (told["saturation"][2],)
     lines = str(quality).splitlines()
     assert lines[0] == f"refusal: {told['saturation'][2]}"
-    assert repr(quality).startswith("<Quality refusal: the control u is at a limit for ")
+    assert repr(quality).startswith("<Quality refusal: the control u rests at its largest or ")
     worse = quality.with_findings(
         Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b")
     )

@@ -6,7 +6,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import hyp2f1
 from scipy.stats import multivariate_t
 
@@ -452,3 +452,28 @@ def test_the_mean_error_at_the_minimum_is_too_small_by_what_the_parameters_take(
     assert gb.SquaredRelativeError().size_of(errors, correction) == pytest.approx(
         np.sqrt(squares / (2 * n - p))
     )
+
+
+def test_stated_variances_weigh_the_points_by_default():
+    """Of few points with errors of 1 to 17 %, a least-squares fit with these weights, and its errors."""
+    omega = np.geomspace(0.5, 20, 7)
+    data = measured(Lag(), omega, {"K": 2.0, "T": 0.3}, noise=0.0)
+    size = np.geomspace(0.01, 0.17, 7) * np.abs(data.response)
+    noise = size * (np.random.default_rng(3).normal(size=(7, 2)) @ [1, 1j]) / np.sqrt(2)
+    data = gb.FrequencyResponse(
+        omega, data.response + noise, data.input, data.output, variance=size**2
+    )
+
+    def weighted(values):
+        K, T = values
+        errors = (K / (1j * omega * T + 1) - data.response) / (size / np.sqrt(2))
+        return np.append(errors.real, errors.imag)
+
+    best = least_squares(weighted, [1.0, 1.0], xtol=1e-14, ftol=1e-14)
+    covariance = np.linalg.inv(best.jac.T @ best.jac)
+    # Residuals above the stated errors widen the intervals.
+    scale = max(2 * best.cost / (14 - 2), 1.0)
+    fit = gb.fit(gb.Problem(Lag(), data), starts=3, profiles=False, progress=False)
+    assert [fit.estimate["K"], fit.estimate["T"]] == pytest.approx(best.x, rel=1e-5)
+    errors = [fit.standard_error["K"], fit.standard_error["T"]]
+    assert errors == pytest.approx(np.sqrt(scale * np.diag(covariance)), rel=0.02)

@@ -121,7 +121,7 @@ def test_it_is_saved_and_in_the_numbers(tmp_path):
     fit = gb.fit(
         gb.Problem(Lag(), responses(3, np.geomspace(0.5, 5, 8)), prior={"T": (0.5, 0.05)}), **ONE
     )
-    assert fit.criterion == "relative-likelihood; prior"
+    assert fit.criterion == "maximum-likelihood; prior"
     gb.save(fit, tmp_path / "fit.h5")
     again = gb.load(tmp_path / "fit.h5")
     assert again.priors == fit.priors == {"T": (0.5, 0.05)}

@@ -43,6 +43,14 @@ def study_of(folder, **answers):
     runs.write()
 
 
+def test_a_model_that_explains_on_a_condition_only_is_not_said_to_explain(tmp_path):
+    misfits = {"wrong": {"explains": False}, "right": {"explains": True, "is_conditional": False}}
+    misfits["large errors"] = {"explains": True, "is_conditional": True}
+    study_of(tmp_path, **{name: ANSWER | {"misfit": misfit} for name, misfit in misfits.items()})
+    rows = {row["member"]: row["explains"] for row in read_study(tmp_path).table}
+    assert rows == {"wrong": False, "right": True, "large errors": None}
+
+
 def test_a_member_is_done_failed_or_unfinished_by_what_is_on_disk(tmp_path):
     study_of(tmp_path, fast=ANSWER, broken={"error": "no start"}, waiting=None)
     for name, count in (("broken", 4), ("waiting", 7)):

@@ -71,9 +71,9 @@ def descend(
     *,
     states_only: bool = False,
 ) -> End:
-    """Iterate from a start; with `states_only` the parameters are held.
+    """Iterate from a start; with `states_only` the parameters are fixed.
 
-    A run that fails begins there once more, with nodes that are simulated.
+    A run that fails begins once more at its start, with simulated nodes.
     """
     # Nodes begin at the data. Where states die away or jump, the noise in them may lead a run
     # astray: without a second attempt, no run from the true parameters of five of 25 stiff or large
@@ -92,21 +92,22 @@ def descend(
 
 
 def _at_whole_samples(parts: AllParts, end: End, iterations: int) -> End:
-    """Return the end of a run that creeps or stalls, or the minimum at whole samples of delays.
+    """Return the minimum where delays are whole samples, or else the end of a run that stalled.
 
-    There the cost may have a kink. Steps that cross it are refused before the other unknowns are at
-    their minimum: 5 of 30 fits of a lag with direct feedthrough, whose delay was one sample, ended
-    at a false minimum from all starts. Therefore all but the delays settle first.
+    The cost may have a kink at whole samples of a delay. Steps that cross the kink are refused
+    before the other unknowns are at their minimum: 5 of 30 fits of a lag with direct feedthrough,
+    whose delay was one sample, ended at a false minimum from all starts. Therefore the other
+    unknowns converge first, at fixed delays.
     """
     progress = replace(EXACT, held=parts.is_delay)
-    rest = _attempted(parts, end.iterate, progress, iterations, states_only=False)
+    converged = _attempted(parts, end.iterate, progress, iterations, states_only=False)
     # An iterate that is singular has no steps to either side.
-    if rest.status != CONVERGED:
+    if converged.status != CONVERGED:
         return end
-    status = status_at_kink(parts, rest.iterate, states_only=False)
+    status = status_at_kink(parts, converged.iterate, states_only=False)
     if not status.startswith(CONVERGED):
         return end
-    return replace(rest, status=status, iterations=end.iterations + rest.iterations)
+    return replace(converged, status=status, iterations=end.iterations + converged.iterations)
 
 
 def _attempted(
@@ -122,7 +123,7 @@ def _attempted(
 
 @dataclass
 class _Attempt:
-    """A run from an iterate, which it replaces by better ones.
+    """A run that replaces its iterate by better ones.
 
     Attributes
     ----------
@@ -130,13 +131,13 @@ class _Attempt:
     iterate : Iterate
     progress : Progress
     states_only : bool
-        Whether the parameters are held.
+        Whether the parameters are fixed.
     weights : list of array
-        Of the residuals of every part.
+        Weight of the residuals of every part.
     linearizations : list
-        Those of every part at the iterate; empty after a step.
+        Linearization of every part at the iterate; empty after a step.
     last_look : float
-        Merit at the last look at what noise hides.
+        Merit at the last check whether the run still makes progress.
     """
 
     parts: AllParts
@@ -148,7 +149,7 @@ class _Attempt:
     last_look: float = np.inf
 
     def end_after(self, iterations: int) -> End:
-        """Iterate at most so often, and return where the run ends."""
+        """Make at most this number of iterations, and return the end of the run."""
         for count in range(iterations):
             if end := self._advance(count):
                 return end
@@ -159,7 +160,7 @@ class _Attempt:
 
     @property
     def nodes_alone(self) -> bool:
-        """Whether the parameters are held in this iteration."""
+        """Whether the parameters are fixed in this iteration."""
         return self.states_only or self.progress.state_iterations > 0
 
     def _advance(self, count: int) -> End | None:
@@ -169,7 +170,7 @@ class _Attempt:
         # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
         if self.progress.is_exact:
             self.iterate = simulate_stable(self.parts, self.iterate)
-        # After a step that failed, only the damping is another one.
+        # After a step that failed, only the damping changes: the linearizations are still valid.
         if not self.linearizations:
             self._linearize()
 
@@ -190,7 +191,7 @@ class _Attempt:
         rests = looks and self._rests(start)
 
         trial, length = line_search(self.parts, self.iterate, step, merit, start)
-        # The merit function shows only rounding.
+        # The remaining changes of the merit function are rounding.
         is_rounding = is_settled and step.distance <= 1e3 * self.parts.settings.tol
         if self._is_at_limit() or (trial is None and is_rounding):
             return End(self.iterate, CONVERGED, count, step.hessian)
@@ -203,7 +204,8 @@ class _Attempt:
 
     def _reason_to_end(self, count: int) -> str:
         """Return why the run has to end before it makes a step; empty if it need not."""
-        # Runs would creep along the limit of stable steps, beyond which the minimum may lie.
+        # Runs would make tiny steps along the limit of stable integration, beyond which the minimum
+        # may lie.
         looks = not (self.states_only or count % LOOKS)
         if looks and not self.parts.has_stable_steps(self.iterate):
             return TOO_COARSE
@@ -225,7 +227,7 @@ class _Attempt:
             self.progress = replace(self.progress, gap_variance=variances)
 
     def _is_settled(self, step: Step, merit: float) -> bool:
-        """Return whether little is left to gain, also by a step that is not damped."""
+        """Return whether a step, also an undamped one, can gain only little."""
         progress = self.progress
         negligible = max(self.parts.settings.tol, ROUNDING * abs(merit))
         little = (1 + progress.damping) * step.decrease <= negligible
@@ -245,15 +247,15 @@ class _Attempt:
     def _minimum(self, step: Step, *, is_settled: bool, looks: bool) -> Iterate | None:
         """Return the minimum if the run has arrived there."""
         if is_settled and step.distance <= self.parts.settings.tol:
-            # The step is known already: polishing then has one less to compute.
+            # The step is computed already: applying it saves polishing one step.
             return followed(self.parts, self.iterate, step) or self.iterate
         return _end_within_noise(self.parts, self.iterate, step, self.progress) if looks else None
 
     def _rests(self, merit: float) -> bool:
-        """Return whether the merit has hardly fallen since the last look.
+        """Return whether the merit has hardly fallen since the last check.
 
-        Beside a kink, as at a whole sample of a delay, steps to and fro gain as little as rounding,
-        and none fails: 9 of 80 fits of a held input ended after 2100 iterations.
+        Near a kink, as at a whole sample of a delay, alternating steps gain as little as rounding,
+        and no step fails: 9 of 80 fits of a held input ended after 2100 iterations.
         """
         rests = self.last_look - merit <= 10 * ROUNDING * abs(merit)
         self.last_look = merit
@@ -262,7 +264,7 @@ class _Attempt:
     def _is_at_limit(self) -> bool:
         """Return whether a damped run has arrived at the limit of stable predictors.
 
-        Where poles meet there, it has no tangent: runs would creep for thousands of steps, for
+        Where poles meet, the limit has no tangent: runs would make thousands of tiny steps, for
         hundredths of the cost.
         """
         is_damped = self.progress.is_exact and self.progress.damping >= 1e3
@@ -290,7 +292,7 @@ class _Attempt:
     def _standstill(
         self, step: Step, trial: Iterate | None, count: int, *, rests: bool
     ) -> End | None:
-        """Return the end of a run that makes no progress, perhaps at a kink; None if it goes on."""
+        """Return the end of a run that makes no progress, perhaps at a kink; None to continue."""
         progress = self.progress
         fails = progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING)
         if not (fails or rests):
@@ -303,25 +305,25 @@ class _Attempt:
     def _accept(
         self, step: Step, trial: Iterate | None, merit: float, gained: float, length: float
     ) -> None:
-        """Go on from the trial, or in the next stage where there is none."""
+        """Continue from the trial; without a trial, continue in the next stage."""
         following = self.progress.after(step, merit, gained, length)
         becomes_exact = following.is_exact and not (self.progress.is_exact or self.states_only)
         self.progress = following
         self.iterate = trial or self.iterate
-        # For a long record, they take an eighth of the memory.
+        # The linearizations of a long record take an eighth of the memory.
         self.linearizations = []
         if not becomes_exact:
             return
 
-        # Without good gains to begin with, and stable predictors that are simulated, at most one of
-        # 7 runs reaches the predictors of the tilt plant.
+        # The exact stage begins with good gains and simulated stable predictors. Otherwise at most
+        # one of 7 runs finds the predictors of the tilt plant.
         z = best_gains(self.parts, self.iterate, following.gap_variance)
         if z is not self.iterate.z:
             self.iterate = self.parts.at(z, self.iterate.nodes)
 
 
 def _arrived(parts: AllParts, end: End, *, states_only: bool) -> End:
-    """Return the end at the limit of iterations, continuous; the run may have arrived."""
+    """Return a continuous end of a run at the limit of iterations; it may have converged."""
 
     def step_from(iterate: Iterate) -> Step:
         weights = parts.residual_weights(iterate)
@@ -340,32 +342,34 @@ def _arrived(parts: AllParts, end: End, *, states_only: bool) -> End:
 def followed(parts: AllParts, iterate: Iterate, step: Step) -> Iterate | None:
     """Return the continuous, stable iterate after a whole step; None if it costs more."""
     end = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
-    dearer = parts.cost(end) > with_rounding(parts.cost(iterate))
-    return None if dearer or not (parts.is_continuous(end) and are_stable(parts, end)) else end
+    costs_more = parts.cost(end) > with_rounding(parts.cost(iterate))
+    if costs_more or not (parts.is_continuous(end) and are_stable(parts, end)):
+        return None
+    return end
 
 
 def _end_within_noise(
     parts: AllParts, iterate: Iterate, step: Step, progress: Progress
 ) -> Iterate | None:
-    """Return the iterate, continuous, if noise hides all that is left to gain, else None.
+    """Return the iterate, made continuous, if further steps gain less than noise; else None.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
     of iterations, for a hundredth of a unit of log-likelihood (the tanh chain is lost without
-    this). A plateau far from the data looks the same; but there the residuals are not noise. What
-    lies beyond a bound is not to gain.
+    this). On a plateau far from the data the steps are as short, but there the residuals are not
+    noise. A decrease beyond a bound does not count.
     """
-    # Steps along states that no output shows leave gaps beyond rounding.
+    # Steps along unobservable states leave gaps beyond rounding.
     closed = parts.made_continuous(iterate, step)
     explained = (part.explains_data(trajectory) for part, trajectory in parts.along(closed))
     if not (parts.is_continuous(closed) and all(explained)):
         return None
     # The gaps of the last linearization are closed, which changes its residuals.
     undamped = exact_step(parts, closed, replace(progress, damping=0.0))
-    # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
-    # converge.
+    # A step that no bound stops decreases the cost by its `distance`, and continues to converge.
     stopped = undamped.decrease > 2 * undamped.distance
-    # Noise moves the minimum by half a unit of log-likelihood per unknown on average. At a tenth
-    # of a standard error, a hundredth of it is left; half of the square is used here.
+    # Noise moves the minimum by half a unit of log-likelihood per unknown on average. At a tenth of
+    # a standard error from the minimum, a hundredth of this remains. The limit on `distance` is
+    # half the square of a tenth.
     unknowns = len(closed.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2
     return closed if stopped and is_noise else None
