@@ -6,7 +6,8 @@
 | ``t``, ``T`` | if there is no full name |
 | a first column that increases, in a unit of time | if there is no such name |
 | ``stamp.sec`` and ``stamp.nanosec``; ``Date`` and ``Time`` | both together |
-| ``hour``, ``minute`` and ``second`` | the three together |
+| ``hour``, ``minute`` and ``second`` | the three together, if there is no full name |
+| ``timestamp_sample``, ``SampleUS`` | this one, if it increases, before the clock of the rows |
 
 A unit is stated in brackets, at the end of the name, or by a counter's name, such as ``TimeUS``.
 Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it: by

@@ -233,7 +233,7 @@ def _unstated_hold(record: Record, input: str) -> Findings:
 def single_losses(record: Record) -> Findings:
     """Yield a finding on rows that are lost one at a time, which `prepare` interpolates."""
     steps = np.diff(record.time) / record.step
-    count = np.count_nonzero(np.abs(steps - 2) < JITTER)
+    count = int(np.count_nonzero(np.abs(steps - 2) < JITTER))
     if count and record.clock.kind in ("uniform", "regular"):
         share = count / (count + len(record))
         lost = counted(count, "single row")
