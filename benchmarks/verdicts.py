@@ -6,10 +6,11 @@ Every cell makes data that look like those of flights and benches, states a fit 
 knows the truth. Plants, gusts and loops are simulated here, by exact steps of linear systems or by
 Runge-Kutta steps. *Silent* is an answer "good" over a value outside of its interval of 99 %
 (Bonferroni), or over a model that is wrong: one that lacks something, or whose errors no model of
-noise has. *Scolded* is another answer of a right model whose values are all within these intervals.
-*Coverage* is the share of 95 % intervals that hold the truth, where there is one. *Interval* is the
-factor of these intervals on the standard error, its median and 95th percentile, which differ much
-where intervals are a lottery. `--cells` takes beginnings of names.
+noise has. *Wrong* counts answers that the model does not explain the data. *Scolded* is another
+answer of a right model whose values are all within these intervals. *Coverage* is the share of 95 %
+intervals that hold the truth, where there is one. *Interval* is the factor of these intervals on
+the standard error, its median and 95th percentile, which differ much where intervals are a lottery.
+`--cells` takes beginnings of names.
 """
 
 import argparse
@@ -141,7 +142,7 @@ OTHER_CRITERIA: dict[str, gb.TimeCriterion] = {
 }
 
 
-# Few points of a response with variances that its file states: (4.26), the default criterion.
+# Few points of a response with variances that its file states.
 
 POINT_ERRORS = 0.01, 0.17  # relative, at the lowest and at the highest frequency
 
@@ -309,13 +310,26 @@ def with_line(random: Random, count: int) -> Any:
     return random.normal(size=count) + 6 * np.sqrt(2) * np.sin(omega * np.arange(count) + phase)
 
 
-def noisy_input(random: Random) -> Case:
-    """Measure the force with 5 % of noise, and the position with 1 %."""
-    u = steps(random) + 0.3 * lfilter([0.3], [1, -0.7], random.normal(size=SPRING_SAMPLES))
-    x = moved(right_spring, u)
-    measured = u + 0.05 * np.std(u) * random.normal(size=len(u))
-    noise = 0.01 * np.std(x) * random.normal(size=len(u))
-    return spring_case(measured, x + noise, is_right=True)
+def noisy_input(share: float) -> Callable[[Random], Case]:
+    """Return a cell of forces that are measured with noise, and positions with 1 % of noise."""
+
+    def make(random: Random) -> Case:
+        u = steps(random) + 0.3 * lfilter([0.3], [1, -0.7], random.normal(size=SPRING_SAMPLES))
+        x = moved(right_spring, u)
+        measured = u + share * np.std(u) * random.normal(size=len(u))
+        noise = 0.01 * np.std(x) * random.normal(size=len(u))
+        return spring_case(measured, x + noise, is_right=True)
+
+    return make
+
+
+def in_slow_gusts(random: Random) -> Case:
+    """Move the spring by gusts of a tenth of the force, which last 1.5 s."""
+    u = steps(random)
+    gust = lfilter([1.0], [1, -np.exp(-SPRING_STEP / GUST_TIME)], random.normal(size=len(u)))
+    force = u + 0.1 * np.std(u) * gust / np.std(gust)
+    x = moved(right_spring, force)
+    return spring_case(u, x + 0.02 * np.std(x) * random.normal(size=len(u)), is_right=True)
 
 
 # A spring with a delay, known by a response or through an angle of a log.
@@ -372,16 +386,19 @@ def cells() -> Iterator[Cell]:
         yield Cell(f"hysteresis, {above} noise", wrong_spring(hysteretic, above))
         yield Cell(f"Duffing, {above} noise", wrong_spring(hardening, above))
     yield Cell("line, aliased", spring_with(with_line, is_right=False))
-    yield Cell("input with noise", noisy_input)
+    for share in (0.0, 0.05, 0.2):
+        yield Cell(f"input with noise of {100 * share:.0f} %", noisy_input(share))
     yield Cell("hold unstated", unstated_hold)
     yield Cell("truncated angle", truncated)
     yield Cell("right, white", spring_with(white, is_right=True))
     yield Cell("right, autoregressive", spring_with(autoregressive, is_right=True))
     yield Cell("right, drifting", spring_with(drifting, is_right=True))
+    yield Cell("right, slow gusts", in_slow_gusts)
 
 
 HEADER = (
-    f"{'cell':<42}{'good':>5}{'doubt':>6}{'poor':>5}{'silent':>7}{'scolded':>8}{'coverage':>9}"
+    f"{'cell':<42}{'good':>5}{'doubt':>6}{'poor':>5}{'wrong':>6}{'silent':>7}{'scolded':>8}"
+    f"{'coverage':>9}"
     f"{'interval':>14}"
 )
 
@@ -389,7 +406,7 @@ HEADER = (
 def row(cell: Cell, fits: int, seed: int) -> str:
     """Return the line of a cell."""
     grades = Counter[str]()
-    silent = scolded = 0
+    silent = scolded = wrong = 0
     hits: list[bool] = []
     factors = []
 
@@ -410,14 +427,15 @@ def row(cell: Cell, fits: int, seed: int) -> str:
         is_far = max(away, default=0.0) > beyond
         hits += [distance < factor for distance in away]
         factors.append(factor)
+        wrong += bool(fit.misfit and not fit.misfit.explains)
         silent += grade == "good" and (is_far or not case.is_right)
         scolded += grade != "good" and not is_far and case.is_right
 
     coverage = f"{100 * np.mean(hits):.0f}%" if hits else "-"
     width = f"{np.median(factors):.1f} to {np.percentile(factors, 95):.1f}" if factors else "-"
     return (
-        f"{cell.name:<42}{grades['good']:5d}{grades['doubt']:6d}{grades['poor']:5d}{silent:7d}"
-        f"{scolded:8d}{coverage:>9}{width:>14}"
+        f"{cell.name:<42}{grades['good']:5d}{grades['doubt']:6d}{grades['poor']:5d}{wrong:6d}"
+        f"{silent:7d}{scolded:8d}{coverage:>9}{width:>14}"
     )
 
 

@@ -58,7 +58,7 @@ def fitted(model, truth, moved_by, sensor, samples, seed):
 
 
 def named(fits):
-    return sum(any("look like gusts" in text for text in fit.warnings) for fit in fits)
+    return sum(any("look like gusts" in text for text in fit.notes) for fit in fits)
 
 
 def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
@@ -183,3 +183,20 @@ def test_a_time_constant_of_gusts_at_its_upper_bound_asks_for_a_longer_record():
     fit = gb.fit(gb.Problem(SlowLag(), record, rule), starts=1, profiles=False, progress=False)
     [said] = [text for text in fit.warnings if "ended at its upper bound" in text]
     assert said.endswith("gusts that last as long as the record need a longer one.")
+
+
+def test_noise_of_an_input_looks_like_gusts_and_leaves_output_error_right():
+    """The answer says both, and which criterion serves noise of an input."""
+    truth = {"k": 1.0, "c": 0.6, "b": 1.0}
+    random = np.random.default_rng(2)
+    u = np.repeat(np.sign(random.normal(size=60)), 15)
+    exact = gb.Record(STEP * np.arange(u.size), {"u": u}, hold={"u": np.inf})
+    y = gb.simulate(Spring(), truth, exact, initial={"x": 0.0, "v": 0.0})["y"]
+    logged = exact.with_signals(
+        u=u + 0.2 * random.normal(size=u.size), y=y + 0.005 * random.normal(size=u.size)
+    )
+    fit = gb.fit(gb.Problem(Spring(), logged), starts=1, progress=False, profiles=False)
+    (said,) = [text for text in (*fit.notes, *fit.warnings) if "look like gusts" in text]
+    assert "the log of u has noise" in said
+    intervals = fit.interval(0.99)
+    assert all(intervals[name][0] < value < intervals[name][1] for name, value in truth.items())

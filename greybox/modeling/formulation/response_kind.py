@@ -2,7 +2,11 @@
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.modeling.formulation.data_kind import DataKind
-from greybox.modeling.formulation.frequency_criteria import Criterion, MaximumLikelihood
+from greybox.modeling.formulation.frequency_criteria import (
+    Criterion,
+    MaximumLikelihood,
+    RelativeError,
+)
 from greybox.modeling.formulation.included_criteria import CRITERIA
 from greybox.modeling.formulation.signal_units import check_response_units
 from greybox.modeling.model import Model
@@ -22,7 +26,7 @@ class ResponseKind(DataKind):
         """Return maximum likelihood where the data have variances, otherwise (4.26)."""
         # Errors of one relative size, as (4.26) takes them, would contradict most variances: its
         # estimates vary more, and with few points its intervals are several times as wide.
-        return self.criteria[0] if data.variance is None else MaximumLikelihood()
+        return RelativeError() if data.variance is None else MaximumLikelihood()
 
     def added_parameters(
         self, model: Model, data: FrequencyResponse, criterion: Criterion

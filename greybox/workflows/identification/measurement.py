@@ -51,6 +51,7 @@ from greybox.workflows.identification.orders import LinearFit, Orders, best_resp
 from greybox.workflows.identification.systematic_errors import (
     motor_saturation,
     systematic_errors,
+    truncation_error,
     with_systematic_errors,
 )
 
@@ -339,7 +340,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             )
             detail = str(response)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
-            errors = systematic_errors(recording, record, response, control, used, amplitudes)
+            errors = [
+                *systematic_errors(recording, record, response, control, used, amplitudes),
+                *truncation_error(recording, record, response, output, amplitudes),
+            ]
             response = with_systematic_errors(response, errors)
             # The table of sines shows the errors of the response, including the systematic ones.
             if points:

@@ -1,6 +1,6 @@
-"""Errors of a response that its scatter does not show: thinned logs, and rounded outputs.
+"""Errors of a response that its scatter does not show: thinned logs, rounded motors, few decimals.
 
-Begin with `systematic_errors`.
+Begin with `systematic_errors`, and see `truncation_error` for outputs that were logged in steps.
 """
 
 import math
@@ -12,6 +12,7 @@ import numpy as np
 from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array, ComplexArray, Interval, real_root
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.numbers_in_text import number
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.logs.ardupilot.motors import (
     motor_outputs,
@@ -19,6 +20,7 @@ from greybox.data.logs.ardupilot.motors import (
     rounding_error,
     saturation,
 )
+from greybox.data.logs.ardupilot.truncated_angles import is_truncated
 from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.loop_rate import thinning, thinning_error
 from greybox.data.record import Record, Recording
@@ -81,6 +83,56 @@ def systematic_errors(
         for error in errors
         if error and (error.relative.max() > NEGLIGIBLE or error.finding.severity == "warning")
     ]
+
+
+def truncation_error(
+    recording: Recording,
+    record: Record,
+    response: FrequencyResponse,
+    output: str,
+    amplitudes: Array | None = None,
+) -> list[SystematicError]:
+    """Return the error of a response whose output may have been truncated by its log, if it counts.
+
+    Truncation toward zero subtracts half a step with the sign of the output, and so takes 2 q/(π A)
+    off a sine of amplitude A in steps of q; rounding takes nothing. No log says which, so the error
+    is taken as uniform between both. An output that keeps its sign is only shifted.
+
+    Parameters
+    ----------
+    recording : Recording
+    record : Record
+        The signals that were used.
+    response : FrequencyResponse
+    output : str
+        The output in the log, ``"ATT.Pitch"``.
+    amplitudes : (n,) array, optional
+        Amplitudes of the control at every frequency, for sines. By default, the whole motion.
+    """
+    values = record[response.output]
+    raw, name = recording.locate(output)
+    logged = raw.between(*record.span)[name]
+    levels = np.unique(logged[np.isfinite(logged)])
+    # What ArduPilot truncated, `prepare` has mended.
+    if levels.size < 2 or not levels[0] < 0 < levels[-1] or is_truncated(output, logged):
+        return []
+
+    q = float(np.diff(levels).min() * np.nanstd(values) / np.nanstd(logged))
+    size = np.full(len(response), math.sqrt(2) * float(np.nanstd(values)))
+    if amplitudes is not None:
+        size = amplitudes * np.abs(response.response)
+    # The deviation of what is uniform from zero to the whole error, about zero.
+    relative = 2 * q / (math.pi * size) / math.sqrt(3)
+    if relative.max() <= NEGLIGIBLE:
+        return []
+
+    text = (
+        f"{response.output} is logged in steps of {number(q, 2)}, and may be truncated: "
+        f"{_size(relative)} are added to the standard errors, as an error that all frequencies and "
+        "a fitted gain have in common; larger motions, or a log of more decimals, have less."
+    )
+    finding = Finding("decimals", "note", float(relative.max()), text)
+    return [SystematicError("truncated output", relative, finding, -relative[None].astype(complex))]
 
 
 def with_systematic_errors(

@@ -137,7 +137,7 @@ def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy)
     calm = flown(0.0, seed=2)
     rule = gb.OutputError(inputs="held")
     simulated = fit(gb.Problem(Spring(), record, rule))
-    assert any("look like gusts" in text for text in simulated.warnings)
+    assert any("look like gusts" in text for text in simulated.notes)
     without = fit(gb.Problem(Spring(), record, WIND, fixed={"w_v": 0.0}))
     assert any("start process noise above zero" in text for text in without.warnings)
     needed = gb.validation.nested_test(simulated, found)
@@ -151,7 +151,7 @@ def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy)
         same = replace(large, cost=small.cost + rounding)
         assert gb.validation.nested_test(small, same).p_value == 1.0
     assert any("show no process noise: w_v" in text for text in large.warnings)
-    assert not any("look like gusts" in text for text in small.warnings)
+    assert not any("look like gusts" in text for text in small.notes)
     assert not any("not determined" in text for text in large.warnings)
 
 
@@ -172,7 +172,7 @@ def test_gusts_that_last_are_named_in_a_long_record_and_slow_sensors_are_not(tim
         simulated = fit(
             gb.Problem(Spring(), record.with_signals(**slow), gb.OutputError(inputs="held"))
         )
-        named.append(any("look like gusts" in text for text in simulated.warnings))
+        named.append(any("look like gusts" in text for text in simulated.notes))
     assert named == [True, False]
 
 

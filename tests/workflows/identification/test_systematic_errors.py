@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.logs.ardupilot.motors import pwm_of_control, rounding_error
@@ -13,6 +14,7 @@ from greybox.workflows.identification.systematic_errors import (
     _size,
     motor_saturation,
     systematic_errors,
+    truncation_error,
     with_systematic_errors,
 )
 
@@ -159,3 +161,28 @@ def test_a_motor_at_its_limit_is_told_from_one_percent_and_refused_from_twenty(s
 )
 def test_sizes_are_one_number_where_they_are_nearly_one(relative, said):
     assert _size(np.array(relative)) == said
+
+
+@pytest.mark.parametrize("step", [0.0, 2e-3])
+def test_truncated_outputs_leave_the_gain_within_the_error_that_they_have_in_common(step):
+    """Sines of 0.02 to 0.1, truncated toward zero: their gains are low by more than any scatter shows."""
+    tests, control = sines(np.array([0.01, 0.03, 0.1]))
+    gains = np.array([5.0, 2.0, 1.0])
+    theta = np.concatenate([g * part for g, part in zip(gains, np.split(control, 3), strict=True)])
+    theta += 1e-4 * np.random.default_rng(0).normal(size=theta.size)
+    logged = np.trunc(theta / step) * step if step else theta
+    record = Record(TIME, {"u": control, "theta": logged})
+    response = gb.spectral.finite_frequency(record, tests).response
+    amplitudes = np.array([0.01, 0.03, 0.1])
+    flown = Recording({"IMU": Record(TIME, {"tilt": np.rad2deg(logged)})})
+    errors = truncation_error(flown, record, response, "IMU.tilt", amplitudes)
+    off = np.abs(response.response) / gains - 1
+    assert len(errors) == (step > 0)
+    for error in errors:
+        # The common error is the deviation of what is uniform up to the whole of it.
+        assert np.all(np.abs(off) > 3 * response.relative_error)
+        assert off == pytest.approx(np.sqrt(3) * error.common[0].real, rel=0.25)
+        assert "theta is logged in steps of 0.002" in error.finding.text
+        wider = with_systematic_errors(response, errors)
+        # All of it is along the response, which has half of the variance.
+        assert np.all(np.abs(off) < 2 * np.sqrt(2) * wider.relative_error)
