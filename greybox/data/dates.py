@@ -1,6 +1,7 @@
 """Dates and times of day as seconds."""
 
 import re
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -53,10 +54,13 @@ def seconds_in_texts(cells: Sequence[str]) -> tuple[Array, str] | None:
         return None
     texts = [OFFSET.sub("", cell.strip()) if cell[10:] else cell.strip() for cell in cells]
     texts = [DAY_FIRST.sub(_year_first, text).replace("/", "-").replace(",", ".") for text in texts]
-    try:
-        dates = np.array([text or "NaT" for text in texts], "datetime64[ns]")
-    except ValueError:
-        return None
+    with warnings.catch_warnings():
+        # numpy warns of what looks like a time zone in other texts.
+        warnings.simplefilter("error")
+        try:
+            dates = np.array([text or "NaT" for text in texts], "datetime64[ns]")
+        except (ValueError, UserWarning):
+            return None
     return np.where(np.isnat(dates), np.nan, dates.astype(np.int64) / 1e9), SINCE_1970
 
 

@@ -49,7 +49,7 @@ LABELS = re.compile(r"[A-Za-z]|\d+|in|min")
 # and a temperature. They are used where a user names the column.
 UNITS_AT_THE_END = re.compile(
     r".+[_ /:](?:((?i:(?:deg|rad)(?:[_/]s(?:ec)?2?)?|dps|rpm))"
-    r"|(mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh|m/s|m/s2|ft/s|km/h))"
+    r"|(mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh|m/s|m/s2|ft/s|km/h|%))"
 )
 
 

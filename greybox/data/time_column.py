@@ -6,7 +6,8 @@
 | ``t``, ``T`` | if there is no full name |
 | a first column that increases, in a unit of time | if there is no such name |
 | ``stamp.sec`` and ``stamp.nanosec``; ``Date`` and ``Time`` | both together |
-| ``hour``, ``minute`` and ``second`` | the three together |
+| ``hour``, ``minute`` and ``second`` | the three together, if there is no full name |
+| ``timestamp_sample``, ``SampleUS`` | this one, if it increases, before the clock of the rows |
 
 A unit is stated in brackets, at the end of the name, or by a counter's name, such as ``TimeUS``.
 Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it: by
@@ -173,8 +174,9 @@ def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tu
     """Return the names of the columns that are the time: one to three, or none."""
     vectors = {name: x for name, x in columns.items() if x.ndim == 1 and x.size}
     by_word = {name.strip().lower().removesuffix("s"): name for name in vectors}
+    of_day = ()
     if by_word.keys() >= OF_DAY_BY_NAME.keys():
-        return tuple(by_word[word] for word in OF_DAY_BY_NAME)
+        of_day = tuple(by_word[word] for word in OF_DAY_BY_NAME)
     pair = next(_pairs(vectors, units), ())
     ranks = {}
     for name, values in vectors.items():
@@ -183,7 +185,8 @@ def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tu
         is_stated = bool(suffix or units.get(name))
         # A clock that stands still shows nothing.
         is_moving = values.size < 2 or np.ptp(values) != 0
-        is_clock = name not in pair and is_moving and seconds(base, units.get(name, ""))
+        is_part = name in pair or name in of_day
+        is_clock = is_moving and not is_part and seconds(base, units.get(name, ""))
         is_of_samples = clock in OF_SAMPLES
         # T may be a temperature or a thrust, and the times of samples may be unset.
         is_doubtful = base == "T" and not is_stated
@@ -192,6 +195,9 @@ def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tu
         if is_clock and (not is_doubtful or _increases(values)):
             ranks[name] = (clock == SHORT, not is_stated, not is_of_samples)
     best = min(ranks, key=ranks.__getitem__, default="")
+    # The time of day is often that of a receiver, in whole seconds.
+    if of_day and not (best and is_clock_name(Heading(best, "").base)):
+        return of_day
     if best and not (pair and any(ranks[best][:2])):
         return (best,)
     if pair:

@@ -1,6 +1,7 @@
 """What loggers do to samples is named, and right signals are left alone."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -261,3 +262,19 @@ def test_a_hold_that_nothing_states_is_said():
     assert "5 ms of the delay belong to the hold" in said
     stated = gb.Record(record.time, record.signals, hold={"u": np.inf})
     assert "nothing states" not in str(gb.spectral.check(stated, input="u", output="y"))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_every_lost_row_is_counted(share):
+    u, y = motion(5)
+    lost = np.random.default_rng(5).random(COUNT) < share
+    lost[[0, -1]] = False
+    record = gb.Record(
+        np.flatnonzero(~lost) / RATE, {"u": u[~lost], "y": y[~lost]}, hold={"u": 0.0}
+    )
+    settings = gb.identification.Settings("u=log.u", "y=log.y", whole=True, open_loop=True)
+    quality = str(gb.identification.measure(Recording({"log": record}), settings).quality)
+    counts = re.findall(r"(\d+) (?:single|lost) rows?", quality)
+    # Gaps of more than three rows are named by their length.
+    runs = np.diff(np.flatnonzero(~lost)) - 1
+    assert sum(map(int, counts)) == runs[runs <= 3].sum()

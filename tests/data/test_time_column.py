@@ -79,6 +79,14 @@ def test_a_clock_that_stands_still_needs_a_rate(tmp_path, capsys):
     assert main(["inspect", str(path), "--rate", "50"]) == 0
 
 
+def test_a_time_beats_the_hours_minutes_and_seconds_of_a_receiver():
+    """As in the tables of an altimeter with a receiver of satellites."""
+    day = {"hour": 20 + 0 * TIME, "minute": 10 + 0 * TIME, "second": np.floor(TIME)}
+    assert clock_names({**day, "x": TIME}, {}) == ("hour", "minute", "second")
+    assert clock_names({**day, "time": TIME, "x": TIME}, {}) == ("time",)
+    assert clock_names({**day, "time": 0 * TIME, "x": TIME}, {}) == ("hour", "minute", "second")
+
+
 def test_slow_samples_in_seconds_are_said():
     times, findings = times_in_seconds("t", "", 20 * np.arange(5.0))
     assert times[1] == 20

@@ -31,6 +31,10 @@ COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separat
 COMMENT_MARKS = "#% \t"
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 WIDER = ", or, if its numbers have decimal commas, separate cells by semicolons"
+# A unit, possibly with a hold, behind a name: in a table whose cells are separated by blanks.
+UNIT_OF_NAME = re.compile(r"\s+([\[({<][^\[\](){}<>]*[\])}>])")
+NO_BREAK = "\xa0"
+DATE_OR_TIME = re.compile(r"\d+[-:/]\d+[-:/]\d+[\d:.TZ+-]*")
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
@@ -98,7 +102,7 @@ class DelimitedText:
         """Return the error of a line that has other names than the header."""
         return ValueError(
             f"{self.path}, line {number}, is the header of a second table: save each table in a "
-            "file of its own."
+            "file of its own, or begin a title above the only one with #."
         )
 
     def numbers(self, places: Mapping[str, int], texts: Mapping[str, str]) -> Mapping[str, Array]:
@@ -174,9 +178,10 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     if header is not None:
         body = body[body.index(header) :]
     else:
+        body = _without_title(lines, body)
         above = _header_in_comments(lines, body[0])
         for k in above:
-            lines[k] = lines[k].strip(COMMENT_MARKS)
+            lines[k] = lines[k].lstrip(COMMENT_MARKS)
         body = [*above, *body]
     has_header = header is not None or bool(above)
     names, separator = _split(lines[body[0]])
@@ -221,22 +226,24 @@ def _decoded(raw: bytes) -> str:
 
 
 def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(COMMENTS)
+    # A line of units may begin with an empty cell and a percent sign.
+    return line.lstrip(" ").startswith(COMMENTS)
 
 
 def _are_separated_by_blanks(line: str) -> bool:
-    """Return whether blanks separate the numbers in a line."""
+    """Return whether blanks separate the numbers in a line, and its date and time of day."""
     cells = line.split()
     is_marked = "\t" in line or ";" in line or any(cell.endswith(",") for cell in cells)
-    return len(cells) > 1 and not is_marked and are_numbers(cells)
+    numbers = [cell for cell in cells if not DATE_OR_TIME.fullmatch(cell)]
+    return len(cells) > 1 and not is_marked and bool(numbers) and are_numbers(numbers)
 
 
 def _with_tabs(line: str) -> str:
     """Return a line with tabs between its cells; a unit belongs to its name: ``pitch [deg]``."""
     line = line.strip()
-    if not line.startswith(("[", "(", "{")) and not line[:1].isdigit():
-        line = re.sub(r"\s+([\[({])", r"\1", line)
-    return "\t".join(line.split())
+    if not line.startswith(("[", "(", "{", "<")) and not line[:1].isdigit():
+        line = UNIT_OF_NAME.sub(lambda match: match[1].replace(" ", NO_BREAK), line)
+    return "\t".join(re.split(r"[ \t]+", line)).replace(NO_BREAK, " ")
 
 
 def _header(lines: list[str], body: Sequence[int]) -> int | None:
@@ -244,6 +251,9 @@ def _header(lines: list[str], body: Sequence[int]) -> int | None:
     # The last line may be cut, and one in the middle may be a second header.
     some = [lines[k] for k in body[len(body) // 3 :: max(len(body) // 9, 1)]]
     candidates = []
+    # A short table may show no numbers; in a longer one, such a line is a title.
+    doubtful = []
+    is_short = len(body) < 10
     for k in body[:200]:
         names, mark = _split(lines[k])
         rows = [_filled(_cells(row, mark)) for row in some]
@@ -254,13 +264,15 @@ def _header(lines: list[str], body: Sequence[int]) -> int | None:
         are_numeric = [_is_numeric(column) for column in columns]
         above_numbers = [name for name, is_so in zip(names, are_numeric, strict=False) if is_so]
         has_text = any(name and not _is_datum(name) for name in above_numbers)
-        if not any(are_numeric) or (has_text and not _is_row(names)):
+        if not any(are_numeric) and is_short:
+            doubtful.append(k)
+        elif has_text and not _is_row(names):
             candidates.append(k)
-        elif any(map(_is_datum, names)):
+        elif len(names) == width and any(map(_is_datum, names)):
             break
     # A line of settings may have as many cells.
     timed = [k for k in candidates if "time" in lines[k].lower()]
-    return next(iter([*timed, *candidates]), None)
+    return next(iter([*timed, *candidates, *doubtful]), None)
 
 
 def _is_numeric(column: Sequence[str]) -> bool:
@@ -275,6 +287,17 @@ def _is_row(names: Sequence[str]) -> bool:
     return not all(number.isdigit() and int(number) < len(names) for number in numbers)
 
 
+def _without_title(lines: list[str], body: list[int]) -> list[int]:
+    """Return the lines from the first row on, if a title and a comment stand above it."""
+    width = len(_split(lines[body[-1]])[0])
+    for place, k in enumerate(body[:200]):
+        cells, _ = _split(lines[k])
+        if len(cells) == width and any(map(_is_datum, cells)):
+            has_comment = any(map(_is_comment, lines[body[0] : k]))
+            return body[place:] if has_comment else body
+    return body
+
+
 def _header_in_comments(lines: list[str], first: int) -> list[int]:
     """Return the place of the comment that names the columns of the `first` row, and of its units.
 
@@ -285,8 +308,11 @@ def _header_in_comments(lines: list[str], first: int) -> list[int]:
     widths = len(cells), len(_cells(lines[first], mark))
     alike = []
     for k in range(first):
-        titles, separator = _split(lines[k].strip(COMMENT_MARKS))
-        if len(titles) in widths and separator == mark and not any(map(_is_datum, titles)):
+        title = lines[k].strip("\n").lstrip(COMMENT_MARKS)
+        titles, separator = _split(title)
+        # Units may end in empty cells, too.
+        is_wide = len(titles) in widths or len(_cells(title, mark)) in widths
+        if is_wide and separator == mark and not any(map(_is_datum, titles)):
             alike.append(k)
     # The last comment may hold the units of the one above it.
     has_two = len(alike) > 1 and alike[-2:] == [first - 2, first - 1]
@@ -320,6 +346,9 @@ def _split(line: str) -> tuple[list[str], str]:
         if len(cells) > len(best):
             best = cells
             separator = mark
+            # With decimal commas, there are more pieces between commas than cells.
+            if are_numbers([cell for cell in cells if cell]):
+                break
     return _filled(best), separator
 
 

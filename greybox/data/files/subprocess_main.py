@@ -275,9 +275,10 @@ def _response_remark(name: str, contents: Mapping[str, Any]) -> str:
     unit = "Hz" if "hz" in str(contents.get("FrequencyUnit", "")).lower() else "rad/s"
     # The name in the file is no part of the command: a crafted one would be run by MATLAB.
     return (
-        f"{name} is a frequency response (idfrd, frd), which is read from a table. For one input "
-        "and one output, as G in MATLAB: writetable(table(G.Frequency(:), real(G.ResponseData(:)), "
-        f"imag(G.ResponseData(:)), 'VariableNames', {{'frequency [{unit}]', 'alpha', 'beta'}}), "
+        f"{name or 'the workspace'} is a frequency response (idfrd, frd), which is read from a "
+        "table. For one input and one output, as G in MATLAB: writetable(table(G.Frequency(:), "
+        "real(G.ResponseData(:)), imag(G.ResponseData(:)), 'VariableNames', "
+        f"{{'frequency [{unit}]', 'alpha', 'beta'}}), "
         "'G.csv')."
     )
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from greybox.data.clock import JITTER
 from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array
 from greybox.data.files.numbers_in_text import number, percent
@@ -227,6 +228,17 @@ def _unstated_hold(record: Record, input: str) -> Findings:
         if fault.kind == "held":
             text += f" If it is no command that was held, {fault}"
     yield Finding("hold", "note", half, text)
+
+
+def single_losses(record: Record) -> Findings:
+    """Yield a finding on rows that are lost one at a time, which `prepare` interpolates."""
+    steps = np.diff(record.time) / record.step
+    count = int(np.count_nonzero(np.abs(steps - 2) < JITTER))
+    if count and record.clock.kind in ("uniform", "regular"):
+        share = count / (count + len(record))
+        lost = counted(count, "single row")
+        text = f"{lost} {'is' if count == 1 else 'are'} lost ({percent(share)} %): interpolated."
+        yield Finding("gaps", "note", share, text)
 
 
 def jitter(record: Record) -> Findings:

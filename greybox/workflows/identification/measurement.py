@@ -38,6 +38,7 @@ from greybox.data.spectral.experiment_quality import (
     check,
     frequencies,
     jitter,
+    single_losses,
 )
 from greybox.data.spectral.frequency_points import FiniteFrequency
 from greybox.data.spectral.multisine_lines import periodic_response
@@ -322,7 +323,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
     def quality_of(response: FrequencyResponse | None) -> Quality:
         quality = check(record, response, judged, input=u, output=y, faults=log.remaining or None)
-        return quality.with_findings(*jitter(logged_output), *log.findings)
+        of_log = *jitter(logged_output), *single_losses(logged_output), *log.findings
+        return quality.with_findings(*of_log)
 
     quality = quality_of(None)
     response = None

@@ -194,7 +194,9 @@ def _complete_rows(text: DelimitedText, named: Sequence[Heading]) -> tuple[Rows,
     short = []
     repeated = []
     for number, row in text.rows():
-        names = [cell.strip("[](){} ") for cell in row if cell.lower() not in MISSING]
+        names = [cell for cell in row if cell.lower() not in MISSING]
+        # Units in a line of their own may have brackets.
+        names = [name if name in header else name.strip("[](){} ") for name in names]
         if len(row) < len(named):
             short.append(number)
         elif len(names) > 1 and header.issuperset(names):
