@@ -27,7 +27,8 @@ from greybox.modeling.formula_arguments import Names
 from greybox.modeling.formulation.starts import sobol_shares
 from greybox.modeling.parameter import lower_and_upper
 
-# Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
+# Largest factor by which a step is lengthened: for a lag with an error of half its value, the upper
+# error is larger by this factor.
 LONGEST = 4.0
 
 
@@ -95,10 +96,10 @@ class Draws(Printed):
         return paths
 
     def __str__(self) -> str:
-        rows = [
-            (name, *(number(value, 4) for value in np.quantile(column, (0.5, 0.025, 0.975))))
-            for name, column in self.columns.items()
-        ]
+        rows = []
+        for name, column in self.columns.items():
+            quantiles = np.quantile(column, (0.5, 0.025, 0.975))
+            rows.append((name, *(number(value, 4) for value in quantiles)))
         table = text_table(("", "median", "2.5 %", "97.5 %"), rows)
         return f"{counted(len(self), 'draw')} from the fit {self.name!r}\n\n{table}"
 
@@ -148,11 +149,13 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
         )
 
     columns = dict(zip(fit.names, drawn_values(fit, count, fit.names, seed).T, strict=True))
-    for k, part in enumerate(fit.parts if fit.derived else ()):
+    # A model is needed only for derived quantities.
+    parts = fit.parts if fit.derived else ()
+    for k, part in enumerate(parts):
         model = fit.model_of(k)
-        local = Names({name: columns[part.outside(name)] for name in model.parameters})
+        parameters = Names({name: columns[part.outside(name)] for name in model.parameters})
         for name in fit.derived.keys() & model.derived.keys() - columns.keys():
-            columns[name] = np.broadcast_to(model.derived[name](local), count)
+            columns[name] = np.broadcast_to(model.derived[name](parameters), count)
     return Draws(fit.name, fit.names, columns)
 
 
@@ -165,18 +168,19 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
 
     # The cost depends on every parameter of the fit, also on those of its other parts.
     known = fit.known_directions(fit.names)
-    lines = [fit.by_name[name] for name in fit.names]
+    quantities = [fit.by_name[name] for name in fit.names]
     variances, axes = np.linalg.eigh(known.covariance)
     root = axes * real_root(variances)
     # Rounding gives a parameter at its bound, which has no variance, a share of the others.
     root[np.diag(known.covariance) == 0] = 0
     dof = fit.fewest_degrees(names)
 
-    shares = np.clip(sobol_shares(count, len(lines) + 1, seed), 1e-9, 1 - 1e-9)
+    # The last share is that of the chi-square variable in Student's t.
+    shares = np.clip(sobol_shares(count, len(quantities) + 1, seed), 1e-9, 1 - 1e-9)
     normal = ndtri(shares[:, :-1]) @ root.T
     widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(count)
-    steps = normal * widening[:, None] - np.array([line.bias for line in lines])
-    limits = lower_and_upper(lines)
+    steps = normal * widening[:, None] - np.array([quantity.bias for quantity in quantities])
+    limits = lower_and_upper(quantities)
 
     def drawn(steps: Array) -> Array:
         return _within(limits, known.at + steps, known.covariance)
@@ -187,10 +191,10 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
 def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     """Return steps (draws, k) from the estimate, lengthened or shortened to their likelihood.
 
-    There the cost has risen as much as the standard errors predict for the step. Along one
-    parameter that is its profile: where its errors are not symmetric, or a pole cannot pass zero,
-    the draws follow. Fits whose problem cannot be compiled again keep their steps. `drawn` returns
-    the values (m, k) at steps (m, k).
+    At the end of a changed step, the cost has risen as much as the standard errors predict for the
+    original step. Along one parameter, the draws then follow its profile, also where errors are not
+    symmetric, or a pole cannot pass zero. Fits whose problem cannot be compiled again keep their
+    steps. `drawn` returns the values (m, k) at steps (m, k).
     """
     if fit.white is None:
         return steps
@@ -200,12 +204,12 @@ def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> A
         return steps
 
     p = len(fit.free)
-    # One for a parameter on which the data contain no information.
+    # The size is one for a parameter on which the data contain no information.
     size = positive_or_one(np.sqrt(np.diag(fit.white)))
     variances, axes = np.linalg.eigh(fit.white / np.outer(size, size))
-    is_seen = variances > 1e-12 * variances.max()
-    scale = np.sqrt(variances[is_seen])
-    axes = axes[:, is_seen]
+    is_determined = variances > 1e-12 * variances.max()
+    scale = np.sqrt(variances[is_determined])
+    axes = axes[:, is_determined]
     # The square of a step in these coordinates is twice the rise of a quadratic cost.
     coordinates = steps[:, :p] / size @ axes / scale
     predicted = np.sum(coordinates**2, axis=1) / 2
@@ -221,27 +225,30 @@ def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> A
     lowest = costs(np.zeros((1, steps.shape[1])))
 
     def ratio(steps: Array, predicted: Array) -> Array:
-        """Return how many times as fast the root of the cost rises as predicted."""
-        # A model without a response there is as unlikely as can be. For a record, where no
-        # predictor is stable, only the standard error is known.
+        """Return the root of the ratio of the true rise of the cost to the predicted one."""
+        # A model without a finite response is very unlikely: its rise counts as large. For a
+        # record, where no predictor is stable, only the standard error is known.
         rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1.0 if has_records else 1e6)
         return real_root(rise)
 
     if not has_records:
         return _roots(ratio, steps, predicted)[:, None] * steps
 
-    # Costs take simulations: two standard errors along every axis, in both directions.
+    # Costs of records take simulations. Therefore only the points at two standard errors along
+    # every axis, in both directions, are evaluated.
     length = 2 * np.sqrt(np.mean(coordinates**2, axis=0))
     ends = np.zeros((2 * len(length), steps.shape[1]))
     ends[:, :p] = np.kron([[1], [-1]], (size[:, None] * axes * scale * length).T)
     expected = np.tile(length**2 / 2, 2)
     rates = ratio(ends, expected)
-    # There the cost is not a parabola, not even an asymmetric one.
-    is_odd = np.abs(rates - 1) > 1 / 3
-    rates[is_odd] = 1 / np.maximum(_roots(ratio, ends[is_odd], expected[is_odd]), 1 / LONGEST)
-    rate = np.where(coordinates > 0, *rates.reshape(2, -1))
-    # Each axis by itself: a draw that is shortened as a whole would shorten every parameter where
-    # one of many, such as a gain at its stability limit, can hardly move.
+    # Where the ratio differs much from one, the cost is not a parabola, not even an asymmetric one.
+    is_irregular = np.abs(rates - 1) > 1 / 3
+    factors = _roots(ratio, ends[is_irregular], expected[is_irregular])
+    rates[is_irregular] = 1 / np.maximum(factors, 1 / LONGEST)
+    upward, downward = rates.reshape(2, -1)
+    rate = np.where(coordinates > 0, upward, downward)
+    # Each axis is changed by itself: one of many parameters, such as a gain at its stability limit,
+    # may hardly be free to move, and should not shorten the steps of the others.
     change = (coordinates / rate - coordinates) * scale @ axes.T * size
     return steps + change @ np.eye(p, steps.shape[1])
 
@@ -257,13 +264,14 @@ def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Arra
     places = np.arange(len(steps))
     ends = 0.0 * places, LONGEST + 0.0 * places
     root = elementwise.find_root(excess, ends, args=(places,), tolerances={"xatol": 0.01})
-    # Where the cost remains low, a bound is reached, or the data have no information.
+    # A step without a root is lengthened as far as allowed: it reaches a bound, or the data have no
+    # information along it.
     return np.nan_to_num(root.x, nan=LONGEST)
 
 
 def _within(limits: Array, values: Array, covariance: Array) -> Array:
     """Move values (n, p) to the bounds (2, p) that they pass, and correlated ones with them."""
-    # Clipped alone, a parameter would leave the combinations that the data determine.
+    # If a parameter were clipped alone, combinations that the data determine would change.
     for _ in range(2):
         for k, (low, high) in enumerate(limits.T):
             beyond = values[:, k] - np.clip(values[:, k], low, high)

@@ -22,13 +22,13 @@ from greybox.modeling.pade_delay import delay_order
 class ResponseBand:
     """A fitted frequency response with its errors, which follow from those of the parameters.
 
-    It contains the response of the true system at any single frequency with this probability, if
-    the model structure is right; the noise of the measured points is not in it.
+    If the model structure is right, the band contains the true response at any single frequency
+    with the probability `level`. It does not include the noise of the measured points.
 
     Attributes
     ----------
     response : FrequencyResponse
-        The fitted one, (n,).
+        The fitted response, (n,).
     level : float
     dof : float
         Degrees of freedom of Student's t: the fewest of the parameters that the response depends
@@ -60,6 +60,7 @@ class ResponseBand:
 
     @property
     def _center(self) -> ComplexArray:
+        """Middle (n,) of the band."""
         return self.response.response - self.bias
 
     @property
@@ -89,13 +90,13 @@ class ResponseBand:
 
     def ellipses(self) -> ComplexArray:
         """Return the confidence ellipse (n, 48) of every response in the complex plane."""
-        turn = np.linspace(0, 2 * np.pi, 48)
-        circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
+        angle = np.linspace(0, 2 * np.pi, 48)
+        circle = np.array([np.cos(angle), np.sin(angle)]) * radius(self.level, self.dof)
         values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
         root = vectors * real_root(values)[:, None, :]
-        around = root @ circle
-        around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
-        return self._center[:, None] + around[:, 0] + 1j * around[:, 1]
+        ellipse = root @ circle
+        ellipse[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
+        return self._center[:, None] + ellipse[:, 0] + 1j * ellipse[:, 1]
 
     def __repr__(self) -> str:
         return one_line(
@@ -117,9 +118,11 @@ def t_quantile(level: float, dof: float) -> float:
     require_level(level)
     from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no
-    # infinity.
-    return float(stdtrit(min(dof, 1e9), 0.5 + level / 2)) if dof > 0 else float("nan")
+    if not dof > 0:
+        return float("nan")
+    # SciPy accepts no infinity. With 1e9 degrees of freedom Student's t is the normal distribution
+    # to all digits.
+    return float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
 
 
 def require_level(level: float) -> None:
@@ -131,8 +134,8 @@ def require_level(level: float) -> None:
 def radius(level: float, dof: float) -> float:
     """Return √(2 F), the radius for two components; F has (2, dof) degrees of freedom."""
     # With two numerator degrees of freedom the quantile of F has this closed form.
-    outside = 1 - level
-    squared = -2 * np.log(outside) if np.isinf(dof) else dof * (outside ** (-2 / dof) - 1)
+    tail = 1 - level
+    squared = -2 * np.log(tail) if np.isinf(dof) else dof * (tail ** (-2 / dof) - 1)
     return float(np.sqrt(squared))
 
 
@@ -154,12 +157,12 @@ def band_of(
 
     components = real_and_imaginary(slope[None])
     covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
-    lost = np.isnan(known.errors(slope.real) + known.errors(slope.imag))
+    is_unknown = np.isnan(known.errors(slope.real) + known.errors(slope.imag))
     return ResponseBand(
         response=response,
         level=level,
         dof=dof,
-        covariance=np.where(lost[:, None, None], np.nan, covariance),
+        covariance=np.where(is_unknown[:, None, None], np.nan, covariance),
         relative_error=np.array([known.errors(relative.real), known.errors(relative.imag)]),
         bias=slope @ bias,
     )
@@ -194,8 +197,9 @@ def response_and_slope(
     mapped = ca.Function("slopes", [q, w, frequency], [rows]).map(omega.size)
     re, im = np.reshape(mapped(p, root, omega[None]).full(), (2, omega.size, -1))
 
-    result = re + 1j * im
+    # The first column is the response, the others are its derivatives.
+    columns = re + 1j * im
     response = FrequencyResponse(
-        omega, result[:, 0], input, output, name=model.label, source="model"
+        omega, columns[:, 0], input, output, name=model.label, source="model"
     )
-    return response, result[:, 1:]
+    return response, columns[:, 1:]

@@ -183,13 +183,16 @@ def structural_identifiability(
             "leave it out."
         )
 
-    # The same points at every call: an answer must not change from run to run.
+    # The points are the same at every call: an answer must not change from run to run.
     random = np.random.default_rng(0)
     points: list[_Sensitivity] = []
-    sensitivity_at, given = (_of_responses, at) if in_frequency else (_of_record, initial)
     for _ in range(POINTS):
-        values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
-        point = sensitivity_at(model, chosen, values, given or {}, options, random)
+        values = {name: p.draw(random) for name, p in model.parameters.items()}
+        values |= fixed or {}
+        if in_frequency:
+            point = _of_responses(model, chosen, values, at or {}, options, random)
+        else:
+            point = _of_record(model, chosen, values, initial or {}, options, random)
         if point is not None:
             points.append(point)
 
@@ -222,14 +225,16 @@ def structural_identifiability(
 
 @frozen
 class _Sensitivity:
-    """How the measurements depend on the free parameters at one point.
+    """Sensitivity of the measurements to the free parameters at one point.
 
     Attributes
     ----------
+    nlp : CompiledProblem
     seen : KnownDirections
-        What data would determine, as exactly as one likes.
+        The directions that data would determine.
     initial : mapping of state to (stretches, p) array
-        How initial states follow the parameters, in changes that would be noticed.
+        Sensitivity of the initial states to the parameters, in units of the change of a state that
+        is visible in the data.
     """
 
     nlp: CompiledProblem
@@ -238,9 +243,9 @@ class _Sensitivity:
 
 
 def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
-    """Return what data would determine, by the Jacobian (rows, p) at x (p,).
+    """Return the directions that data would determine, from the Jacobian (rows, p) at x (p,).
 
-    `reach` (p,) has the lengths of its columns at known initial states.
+    `reach` (p,) are the norms of its columns at known initial states.
     """
     size = 1 / positive_or_one(reach)
     _, singular, rows = np.linalg.svd(jacobian * size)
@@ -319,19 +324,21 @@ def _of_record(
         return None
 
     slopes = sensitivity(part, trajectory, np.eye(len(part.outputs)))
-    pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)
+    by_parameters = part.data.unpadded(slopes.weighted)
+    by_states = part.data.unpadded(slopes.by_initial)
     rows = []
-    for stretch in pairs:
-        jacobian, by_states = (J.mT.reshape(-1, J.shape[1]) for J in stretch)
-        # An orthogonal basis takes the effect of the initial states out. By the normal equations of
+    for J, S in zip(by_parameters, by_states, strict=True):
+        jacobian = J.mT.reshape(-1, J.shape[1])
+        initial_jacobian = S.mT.reshape(-1, S.shape[1])
+        # An orthogonal basis removes the effect of the initial states. With the normal equations of
         # a fit, directions with 1e-5 of the effect of the others could not be distinguished from
         # rounding.
-        rows.append(beside(jacobian, by_states))
+        rows.append(beside(jacobian, initial_jacobian))
 
     scale = nlp.scaling.slope(x)
-    following = {state: follow * scale for state, follow in slopes.initial.items()}
+    initial_slopes = {state: slope * scale for state, slope in slopes.initial.items()}
     directions = _directions(x, np.vstack(rows) * scale, slopes.reach * scale)
-    return _Sensitivity(nlp, directions, following)
+    return _Sensitivity(nlp, directions, initial_slopes)
 
 
 @one_thread_at_a_time

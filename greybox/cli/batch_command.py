@@ -34,6 +34,7 @@ EXAMPLES = (
     "--resume results",
     "--status results",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 study STUDY
     study.toml, study.py with a function members(), or included: paper

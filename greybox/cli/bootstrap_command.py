@@ -12,6 +12,7 @@ EXAMPLES = (
     "pitch.h5",
     "pitch.h5 --replicates 400 --out replicates --workers 2",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 result RESULT
     a fit that greybox fit --out wrote

@@ -1,6 +1,7 @@
 """The command `greybox compare`: saved fits side by side, or the members of a study."""
 
 import argparse
+from typing import Any
 
 from greybox.assessment.validation.compare import compare
 from greybox.assessment.validation.comparison import Comparison
@@ -20,6 +21,7 @@ EXAMPLES = (
     "results --by model",
     "results --latex table.tex --csv table.csv",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 results RESULT...
     fits of the same data, as greybox fit --out saves them, or the folder of a study
@@ -34,19 +36,18 @@ results RESULT...
     the estimates of a study with standard errors, as tables for the package booktabs
 --force
 """
-SUMMARY = ("labels", "data", "supported", "verdict", "table", "statements")
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
-    tables = {"to_csv": options.csv, "to_latex": options.latex}
-    for path in tables.values():
+    for path in (options.csv, options.latex):
         require_writable(path, options.force)
-    if len(options.results) > 1 or not options.results[0].is_dir():  # a study is a folder
-        if any(tables.values()) or options.by:
+    is_study = len(options.results) == 1 and options.results[0].is_dir()
+    if not is_study:
+        if options.by or options.csv or options.latex:
             raise UsageError("--by, --csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)
-        return attributes(comparison, *SUMMARY), str(comparison)
+        return _as_json(comparison), str(comparison)
     if options.held_out:
         raise UsageError("--held-out is for fits; for a study, write `held` in its file.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
@@ -55,16 +56,24 @@ def run(options: argparse.Namespace) -> Answer:
     lines = [str(study)]
     if options.by:
         comparison = study.ranking(*options.by.split(","))
-        answer |= attributes(comparison, *SUMMARY)
+        answer |= _as_json(comparison)
         lines = [str(comparison)]
-    for method, path in tables.items():
-        if path is not None:
-            write_text(path, getattr(study, method)())
-            lines.append(f"wrote {path}")
+    if options.csv is not None:
+        write_text(options.csv, study.to_csv())
+        lines.append(f"wrote {options.csv}")
+    if options.latex is not None:
+        write_text(options.latex, study.to_latex())
+        lines.append(f"wrote {options.latex}")
     return answer, "\n".join(lines)
 
 
+def _as_json(comparison: Comparison) -> dict[str, Any]:
+    """Return a comparison as plain values."""
+    return attributes(comparison, "labels", "data", "supported", "verdict", "table", "statements")
+
+
 def _comparison(options: argparse.Namespace) -> Comparison:
+    """Compare saved fits."""
     paths = unique(options.results)
     # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]

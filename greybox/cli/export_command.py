@@ -14,6 +14,7 @@ EXAMPLES = (
     "pitch.h5 pitch.csv",
     "pitch.h5 pitch.c --pade 2",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 result RESULT
     a fit that greybox identify or fit --out wrote

@@ -41,6 +41,7 @@ EXAMPLES = (
     "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed "
     "--method collocation",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 {PROBLEM_OPTIONS}
 --starts N

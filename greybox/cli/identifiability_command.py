@@ -16,6 +16,7 @@ EXAMPLES = (
     "tilt:NonlinearTilt --outputs theta --free T_rotor",
     "yaw.h5",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 subject MODEL|RESULT
     a structure, tilt:Tilt or my.py:Class: the rank of its sensitivities at random points; or a fit

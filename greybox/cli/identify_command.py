@@ -27,6 +27,7 @@ EXAMPLES = (
     "first.BIN second.BIN --fix T_delay=0.004",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 logs LOG...
     flight logs with tests of one axis, or tables of signals

@@ -1,6 +1,7 @@
 """The command `greybox list`: the included models and problems."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -24,6 +25,7 @@ EXAMPLES = (
     "tilt:Tilt",
     "my.py:Model",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 name [NAME]
     show the details of one: a problem, or a model such as tilt:Tilt
@@ -35,28 +37,40 @@ def run(options: argparse.Namespace) -> Answer:
     if options.name:
         return _show(options.name)
 
-    docs = {
-        "problem": {name: _doc(shipped_module("problems", name)) for name in shipped("problems")},
-        "model": {
-            f"{name}:{model.__name__}": equation(model)
-            for name in shipped("models")
-            for model in models_of(shipped_module("models", name))
-        },
-    }
-    blocks, answer = [], {}
-    for kind, items in docs.items():
-        # The first paragraph of a docstring is its summary.
-        rows = [(name, " ".join(doc.split("\n\n")[0].split())) for name, doc in items.items()]
-        blocks.append(text_table([kind, "what it is"], rows, (0, 1)))
-        answer[f"{kind}s"] = [
-            {"name": name, "summary": summary, "about": items[name]} for name, summary in rows
-        ]
+    problem_docs = {name: _doc(shipped_module("problems", name)) for name in shipped("problems")}
+    model_docs = {}
+    for name in shipped("models"):
+        for model in models_of(shipped_module("models", name)):
+            model_docs[f"{name}:{model.__name__}"] = equation(model)
 
-    blocks.append("`greybox list NAME` shows the details of one, with equation and source.")
-    return answer, "\n\n".join(blocks)
+    problems = _described(problem_docs)
+    models = _described(model_docs)
+    blocks = [
+        _summary_table("problem", problems),
+        _summary_table("model", models),
+        "`greybox list NAME` shows the details of one, with equation and source.",
+    ]
+    return {"problems": problems, "models": models}, "\n\n".join(blocks)
+
+
+def _described(docs: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return name, summary and docstring of every item, from docstrings by name."""
+    items = []
+    for name, doc in docs.items():
+        # The first paragraph of a docstring is its summary.
+        summary = " ".join(doc.split("\n\n")[0].split())
+        items.append({"name": name, "summary": summary, "about": doc})
+    return items
+
+
+def _summary_table(kind: str, items: Sequence[Mapping[str, str]]) -> str:
+    """Return the table of the names and summaries of items."""
+    rows = [(item["name"], item["summary"]) for item in items]
+    return text_table([kind, "what it is"], rows, left=(0, 1))
 
 
 def _show(name: str) -> Answer:
+    """Show the details of a model or a problem."""
     if ":" in name or name.endswith(".py") or name in shipped("models"):
         model = find_model(name)
         answer = {"name": name, "about": equation(model), **_parameters(model)}
@@ -75,12 +89,16 @@ def _show(name: str) -> Answer:
 
 
 def _parameters(model: Model) -> dict[str, Any]:
-    names = ("start", "bounds", "unit", "about", "fixed", "scale")
-    rows = [{"name": name, **attributes(p, *names)} for name, p in model.parameters.items()]
-    return {"parameters": rows, "inputs": model.input_names, "outputs": model.output_names}
+    """Return parameters, inputs and outputs of a model, for JSON."""
+    parameters = []
+    for name, parameter in model.parameters.items():
+        fields = attributes(parameter, "start", "bounds", "unit", "about", "fixed", "scale")
+        parameters.append({"name": name, **fields})
+    return {"parameters": parameters, "inputs": model.input_names, "outputs": model.output_names}
 
 
 def _model_text(model: Model) -> str:
+    """Return signals, equation and parameters of a model as text."""
     signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
     return f"{model.label}: {signals}\n\n{equation(model)}\n\n{parameter_table(model.parameters)}"
 

@@ -70,12 +70,13 @@ def stated_band(words: list[str]) -> Interval | None:
     in_hz = text.lower().endswith("hz")
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
     try:
-        # The library computes in rad/s.
-        low, high = (float(word) * (math.tau if in_hz else 1) for word in plain)
+        low, high = map(float, plain)
     except ValueError:
         raise UsageError(
             f"--band {text} is not understood: write two frequencies, --band 1 80 or "
             "--band 0.2 12 Hz."
         ) from None
 
-    return low, high
+    # The library computes in rad/s.
+    factor = math.tau if in_hz else 1
+    return low * factor, high * factor

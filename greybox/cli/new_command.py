@@ -19,6 +19,7 @@ EXAMPLES = (
     "pitch",
     "drag --in-time",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 name NAME
     name of the file, NAME.py in this folder, and of its model

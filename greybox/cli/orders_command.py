@@ -17,6 +17,7 @@ EXAMPLES = (
     "pitch_response.csv --n 2 3 4 --integrators 1 --no-delay --out chosen.h5",
     "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 responses RESPONSE...
     measured frequency responses of one plant, as greybox response saves them

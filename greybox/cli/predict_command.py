@@ -37,6 +37,7 @@ log LOG
 --columns
 --gaps
 --model"""
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""{LOG_OPTIONS}
 --horizon S
     time to predict from the measured past, s (default: chosen by greybox)

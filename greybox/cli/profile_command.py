@@ -10,6 +10,7 @@ EXAMPLES = (
     "pitch.h5",
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 result RESULT
     a fit that greybox fit --out wrote

@@ -13,6 +13,7 @@ EXAMPLES = (
     "linear.h5 nonlinear.h5 --out comparison.html",
     "results",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 results RESULT...
     a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several are

@@ -3,7 +3,7 @@
 import argparse
 import shlex
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
 from greybox.cli.options import UsageError
@@ -21,6 +21,7 @@ EXAMPLES = (
     "flight.csv --input u --output theta --whole --band 1 40",
     "flight.csv --input da dr --output p r --period 20 --instrument e_a e_r --out matrix.csv",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 log LOG
     a flight log, or a table of signals
@@ -56,10 +57,12 @@ def run(options: argparse.Namespace) -> Answer:
         )
 
     recording = read_log(options)
-    kind = _matrix if is_matrix else _response
-    measured, answer, responses = kind(options, recording)
-    # What the reader of the log has left out concerns every measurement.
-    lines = [str(measured), *(["", *recording.findings] if recording.findings else [])]
+    measured = _matrix(options, recording) if is_matrix else _response(options, recording)
+    responses = measured.responses
+    lines = [measured.text]
+    # Every measurement lacks what the reader of the log has left out.
+    if recording.findings:
+        lines += ["", *recording.findings]
     if responses and options.out is not None:
         if is_matrix:
             write_responses(responses, options.out)
@@ -72,25 +75,31 @@ def run(options: argparse.Namespace) -> Answer:
         pair = ["--input", responses[0].input, "--output", responses[0].output]
         command = ["greybox", "fit", "--model", "MODEL", "--data", str(options.out), *pair]
         lines.append(f"  fit one: {shlex.join(command)}")
-    return answer, *lines
+    return measured.answer, *lines
 
 
-Kind = tuple[Any, dict[str, Any], Sequence[FrequencyResponse]]
-"""A measurement, its JSON, and its responses; none if they are not usable."""
+class _Measured(NamedTuple):
+    """A measurement as text and as JSON, and its responses; none if they are not usable."""
+
+    text: str
+    answer: dict[str, Any]
+    responses: Sequence[FrequencyResponse]
 
 
-def _response(options: argparse.Namespace, recording: Recording) -> Kind:
+def _response(options: argparse.Namespace, recording: Recording) -> _Measured:
+    """Measure the response of one pair."""
     names = {"input": options.input[0], "output": options.output[0]}
     measured = measure(recording, Settings(**(stated_choices(options) | names)))
     answer = response_json(recording, measured)
     response = measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
-        return measured, answer, ()
-    return measured, answer, [response]
+        return _Measured(str(measured), answer, ())
+    return _Measured(str(measured), answer, [response])
 
 
-def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
+def _matrix(options: argparse.Namespace, recording: Recording) -> _Measured:
+    """Measure the responses of all pairs at once."""
     measured = measure_matrix(
         recording,
         options.input,
@@ -98,17 +107,18 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
         options.period,
         excitations=options.instrument,
         band=stated_band(options.band),
-        **attributes(options, "rate", "settle"),
+        rate=options.rate,
+        settle=options.settle,
     )
+    responses = []
+    for response in measured.responses:
+        responses.append({**attributes(response, "input", "output", "omega"), **response.columns})
     answer = {
         **_origin(recording, measured),
-        "responses": [
-            {**attributes(response, "input", "output", "omega"), **response.columns}
-            for response in measured.responses
-        ],
+        "responses": responses,
         "units": non_empty(measured.record.units),
     }
-    return measured, answer, measured.responses
+    return _Measured(str(measured), answer, measured.responses)
 
 
 def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
@@ -122,17 +132,18 @@ def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
 
 
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
-    """Return the JSON of a measurement; without a response its columns are None."""
-    # The same keys in every answer: a script need not ask which ones there are.
+    """Return the JSON of a measurement; without a response it has no columns."""
     response, quality = measured.response, measured.quality
-    facts = {"input": None, "output": None, "units": {}, "about": {}}
-    if response is not None:
-        facts = {"coherence": None, "variance": None, "dof": None, **response.columns}
-        facts |= attributes(response, "omega", "input", "output", "units", "about")
+    if response is None:
+        of_response = {"input": None, "output": None, "units": {}, "about": {}}
+    else:
+        # A column that the response does not have is None.
+        of_response = {"coherence": None, "variance": None, "dof": None, **response.columns}
+        of_response |= attributes(response, "omega", "input", "output", "units", "about")
 
     return {
         **_origin(recording, measured),
-        **facts,
+        **of_response,
         "closed_loop": bool(measured.controller),
         "instrument": measured.signals.get(INSTRUMENT),
         "segments": measured.tests,

@@ -12,6 +12,7 @@ EXAMPLES = (
     "cart.h5 other.csv --initial x=0.2 --out motion.csv",
     "pitch_fit.h5 other_flight.BIN --between 20 30 --out motion.csv",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""{LOG_OPTIONS}
 --initial NAME=VALUE...
     initial states; others begin at zero

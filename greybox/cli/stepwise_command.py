@@ -13,6 +13,7 @@ EXAMPLES = (
     "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",
     "my.py --candidates k_v k_vv exponent=1 --out chosen.h5",
 )
+# The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 {PROBLEM_OPTIONS}
 --candidates NAME[=VALUE]...

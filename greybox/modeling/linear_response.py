@@ -127,7 +127,8 @@ def response_formulas(
 
     assert isinstance(model, StateSpace)
     n = len(model.states)
-    inputs, outputs = (sorted(set(names)) for names in zip(*pairs, strict=True))
+    inputs = sorted({input for input, _ in pairs})
+    outputs = sorted({output for _, output in pairs})
     i = [model.input_names.index(name) for name in inputs]
     k = [model.output_names.index(name) for name in outputs]
     trim = trim_of(model, at or {})
@@ -160,12 +161,12 @@ def response_formulas(
 
 
 def _beside(undelayed: Callable[[Any], Any], s: Complex, hold: float, delay: Any) -> Any:
-    """Return what samples show beside a response without its delay, see `folded_back`.
+    """Return what sampling adds to a response without its delay, see `folded_back`.
 
-    How late an output that the input reaches at once is seen jumps with the delay: nothing is added
-    to it then, which is right on average.
+    For direct feedthrough with a delay, nothing is added: the addition jumps where the delay is a
+    whole number of holds, and its mean over all delays is zero.
     """
-    # Exact, whatever the approximation of the delay.
+    # The frequency is exact, whatever the approximation of the delay.
     at_line = Complex(s.re, s.im) * hold
     at_once, rate = first_terms(undelayed, hold)
     step, ramp, _ = folded_back(at_line, delay / hold)

@@ -104,17 +104,16 @@ def same_formulas(model: Model, other: Model, values: Values, fixed: Values = NO
     """
     is_finite: Any = False
     for spread in SPREADS:
-        mine, others = (
-            np.array(formula_values(*pair, spread), dtype=float)
-            for pair in ((model, values), (other, fixed))
-        )
-        if mine.shape != others.shape or not others.size:
+        results = np.array(formula_values(model, values, spread), dtype=float)
+        other_results = np.array(formula_values(other, fixed, spread), dtype=float)
+        if results.shape != other_results.shape or not other_results.size:
             return False
-        # A thousand times the rounding of a long formula; what cancels leaves 1e-14 of a term.
-        size = np.abs(others[np.isfinite(others)]).max(initial=0.0)
-        if not np.allclose(mine, others, rtol=1e-9, atol=1e-14 * size, equal_nan=True):
+        # The relative tolerance is a thousand times the rounding of a long formula. Terms that
+        # cancel leave 1e-14 of their size.
+        size = np.abs(other_results[np.isfinite(other_results)]).max(initial=0.0)
+        if not np.allclose(results, other_results, rtol=1e-9, atol=1e-14 * size, equal_nan=True):
             return False
-        is_finite = is_finite | np.isfinite(others).reshape(POINTS, -1).any(axis=0)
+        is_finite = is_finite | np.isfinite(other_results).reshape(POINTS, -1).any(axis=0)
 
     # Two formulas that are nowhere finite would look alike.
     return bool(np.all(is_finite))

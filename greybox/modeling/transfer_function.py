@@ -171,8 +171,8 @@ class SeriesConnection(Connection):
 
     def response(self, s: Any, p: Any) -> Any:
         """Return the product of the two responses."""
-        first, second = (part.response(s, p) for part in self.parts)
-        return first * second
+        first, second = self.parts
+        return first.response(s, p) * second.response(s, p)
 
     @property
     def label(self) -> str:

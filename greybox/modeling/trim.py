@@ -207,7 +207,9 @@ def _presolve(
         # At a double root a Newton step only halves the distance: 60 steps reach rounding. Longer
         # steps than the size of the point would leave the nearest root.
         for _ in range(60):
-            derivative, jacobian = (np.nan_to_num(np.asarray(v)) for v in residual(root, start))
+            derivative, jacobian = residual(root, start)
+            derivative = np.nan_to_num(np.asarray(derivative))
+            jacobian = np.nan_to_num(np.asarray(jacobian))
             step = np.linalg.lstsq(jacobian, derivative.ravel())[0]
             root = root - step / max(1.0, np.linalg.norm(step) / (1 + np.linalg.norm(root)))
         derivative = np.asarray(residual(root, start)[0])

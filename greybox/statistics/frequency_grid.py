@@ -158,4 +158,10 @@ def products(a: Array, b: Array) -> Array:
 
 def fast_length(count: int) -> int:
     """Return an even length of at least `count` whose Fourier transform is fast."""
-    return min(m << max((-(-count // m) - 1).bit_length(), 1) for m in (1, 3, 5, 9, 15))
+    lengths = []
+    # The factors of a fast length are twos, one at least, threes and fives.
+    for odd in (1, 3, 5, 9, 15):
+        least_power = math.ceil(count / odd)
+        twos = max((least_power - 1).bit_length(), 1)
+        lengths.append(odd * 2**twos)
+    return min(lengths)

@@ -35,7 +35,8 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
         widest = -1.01 * stdtrit(dof, tail) * deviation.max()
         return brentq(lambda size: stdtr(dof, -size / deviation) @ weight - tail, 0, widest)
 
-    inner, outer = map(half_width, tails)
+    inner = half_width(tails[0])
+    outer = half_width(tails[1])
     if math.isinf(dof):
         return float((inner / stdtrit(dof, tails[0])) ** 2), dof
 

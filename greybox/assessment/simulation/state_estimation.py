@@ -1,11 +1,11 @@
-"""Estimates the state at the beginning of every window from its lead-in, for all windows at once.
+"""Estimate the state at the beginning of every window from its lead-in, for all windows at once.
 
 Gauss-Newton steps lead to the maximum a posteriori estimate, under the noise of the outputs and a
-prior that the windows share. Mean and spread of this prior are those of all windows (empirical
-Bayes by expectation and maximization), so that a state on which a short lead-in has little
-information stays near its mean over the record. A formula need not be finite everywhere (a root of
-a level): a window from whose guess the lead-in is not finite begins at the mean of the others, and
-no step leads to outputs that are not finite.
+prior that the windows share. Mean and spread of this prior are estimated from all windows
+(empirical Bayes by expectation and maximization). A state on which a short lead-in has little
+information then stays near its mean over the record. A formula, such as the root of a level, need
+not be finite everywhere: if the lead-in is not finite from the guess of a window, the window begins
+at the mean of the others, and no step leads to outputs that are not finite.
 Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird
 and Rubin (1977), Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal
 Statistical Society B 39.
@@ -22,7 +22,18 @@ Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, sampl
 # Initial states (w, n) -> derivatives of the outputs with respect to them (w, samples, k, n).
 Sensitivities = Callable[[Array], Array]
 
-TINY = 1e-300  # instead of a division by zero
+# Replaces zero in a divisor.
+TINY = 1e-300
+# Most Gauss-Newton iterations. Most windows settle in 5 or 6; tanks that drain within a lead-in
+# took 23.
+MOST_ITERATIONS = 30
+# Iterations in which the prior, and an unknown noise, are updated. They are fixed afterwards: the
+# iterations then minimize one function, and settle.
+ADAPTING = 4
+# Most halvings of a step: to a millionth.
+MOST_HALVINGS = 20
+# Fewest windows that determine the spread of their states.
+FEWEST_WINDOWS = 10
 
 
 @frozen
@@ -86,16 +97,14 @@ def estimate_states(
     mean = x[finite].mean(axis=0)
     precision = np.zeros(n)
     posterior = np.zeros((w, n, n))
-    # Most settle in 5 or 6 iterations; tanks that drain within a lead-in took 23.
-    for iteration in range(30):
-        # The prior, and an unknown noise, are updated at first and then held: the iterations then
-        # minimize one function, and settle.
-        adapting = iteration < 4
-        if noise is None and adapting and iteration:
+    for iteration in range(MOST_ITERATIONS):
+        is_adapting = iteration < ADAPTING
+        # In the first iteration no posterior is known yet.
+        if noise is None and is_adapting and iteration > 0:
             present = np.isfinite(measured) & finite[:, None, None]
             R = residual_noise(e, S, present, posterior, R) + floor
         H, b = information_of(e, S, R)
-        if adapting:
+        if is_adapting:
             states = np.einsum("wij,wj->wi", H, x) + b
             mean, precision = shared_prior(
                 H[finite], states[finite], mean, measured[finite], R, spread
@@ -107,7 +116,7 @@ def estimate_states(
         x = x + step
         e, S, finite = _linearized(x, residual, sensitivities)
         deviation = np.sqrt(np.maximum(np.linalg.diagonal(posterior), TINY))
-        if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
+        if not is_adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
 
     return StateEstimates(x, R, mean, precision, ~finite)
@@ -126,28 +135,40 @@ def _halved(
         return squares + (precision * (x - mean) ** 2).sum(axis=1)
 
     limit = cost(e, x) * (1 + 1e-9) + 1e-9
-    worse = np.any(step != 0, axis=1)
-    for _ in range(20):  # to a millionth
-        worse &= ~(cost(residual(x + step), x + step) <= limit)
-        if not worse.any():
+    is_worse = np.any(step != 0, axis=1)
+    for _ in range(MOST_HALVINGS):
+        is_worse &= ~(cost(residual(x + step), x + step) <= limit)
+        if not is_worse.any():
             break
-        step = np.where(worse[:, None], step / 2, step)
-    return np.where(worse[:, None], 0.0, step)
+        step = np.where(is_worse[:, None], step / 2, step)
+    return np.where(is_worse[:, None], 0.0, step)
 
 
-# Along a motion that diverges, numbers overflow: its errors are not known.
+# Along a motion that diverges, numbers overflow: its errors are then unknown.
 @np.errstate(over="ignore", invalid="ignore")
 def one_step_errors(
     e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array
 ) -> Array:
     """Return the errors one sample ahead in standard deviations, (w, samples, k), NaN if missing.
 
-    Each output is predicted from the prior and all that was measured before it in the window, by a
-    Kalman filter of the initial state. It is linear about a trajectory with residuals `e` (w,
-    samples, k) and `sensitivities` (w, samples, k, n); `offset` (w, n) leads from its initial state
-    to the mean of the prior. For the right model, the errors are white with unit variance. Source:
-    Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression relationships
-    over time, Journal of the Royal Statistical Society B 37 (recursive residuals).
+    A Kalman filter of the initial state predicts each output from the prior and from all earlier
+    measurements in the window. For the right model, the errors are white with unit variance.
+
+    Parameters
+    ----------
+    e : (w, samples, k) array
+        Residuals of a trajectory, about which the filter is linear.
+    sensitivities : (w, samples, k, n) array
+        Derivatives of the outputs by the initial state of this trajectory.
+    offset : (w, n) array
+        Mean of the prior less this initial state.
+    precision : (n,) array
+        Inverse variances of the prior.
+    noise : (k, k) array
+        Covariance of the errors of the outputs.
+
+    Source: Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression
+    relationships over time, Journal of the Royal Statistical Society B 37 (recursive residuals).
     """
     w, samples, k = e.shape
     variance = np.diag(noise)
@@ -207,12 +228,13 @@ def shared_prior(
     Fewer than ten windows do not determine the spread of their states: the prior then stays weak.
     """
     w = len(H)
-    # So weak at first that one standard deviation of a state changes the outputs by their spread.
+    # The weak prior: one standard deviation of a state changes the outputs by their spread.
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
     signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
-    seen = np.mean(np.linalg.diagonal(H), axis=0)
-    precision = np.where(seen > 0, seen / signal, 1.0)
-    if w < 10:
+    information_of_window = np.mean(np.linalg.diagonal(H), axis=0)
+    is_observable = information_of_window > 0
+    precision = np.where(is_observable, information_of_window / signal, 1.0)
+    if w < FEWEST_WINDOWS:
         return mean, precision
     # Expectation and maximization: these need no simulation.
     for _ in range(50):
@@ -221,8 +243,8 @@ def shared_prior(
         mean = x.mean(axis=0)
         variance = np.linalg.diagonal(covariance).sum(axis=0)
         variance = variance + ((x - mean) ** 2).sum(axis=0)
-        # States that no output shows need some precision, or they would drift.
-        precision = np.maximum((w - 1) / variance, 1e-12 * seen + TINY)
+        # Unobservable states need some precision, or they would drift.
+        precision = np.maximum((w - 1) / variance, 1e-12 * information_of_window + TINY)
     return mean, precision
 
 
@@ -231,9 +253,9 @@ def residual_noise(e: Array, S: Array, present: BoolArray, posterior: Array, R: 
 
     `present` (w, samples, k) marks the measured residuals.
     """
-    # The trace counts the numbers that the fitted states used.
+    # The trace is the number of degrees of freedom that the fitted states use up.
     H, _ = information_of(e, S, R)
     count = np.maximum(present.sum(axis=(0, 1)), 1)
-    fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
-    # Estimated states use up at most nine tenths of the residuals.
-    return np.diag((e**2).sum(axis=(0, 1)) / (count * max(1 - fitted, 0.1)))
+    share = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
+    # The share is limited to nine tenths, so that few measurements do not make the noise infinite.
+    return np.diag((e**2).sum(axis=(0, 1)) / (count * max(1 - share, 0.1)))

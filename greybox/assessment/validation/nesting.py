@@ -25,7 +25,10 @@ class NotNestedError(ValueError):
 
 @frozen
 class _Pair:
-    """A part of the smaller fit and the same part of the larger one, with their models."""
+    """A part of the smaller fit and the same part of the larger one, with their models.
+
+    An *inside* name of a parameter is that within a part, an *outside* name that in the fit.
+    """
 
     small: FittedPart
     large: FittedPart
@@ -34,15 +37,16 @@ class _Pair:
 
     @property
     def shared(self) -> list[str]:
-        """Parameters of both parts, by their names within the parts."""
-        known = {*self.small_model.parameters, *self.small.added}
-        return [n for n in (*self.large_model.parameters, *self.large.added) if n in known]
+        """Inside names of the parameters that both parts have."""
+        of_small = {*self.small_model.parameters, *self.small.added}
+        of_large = (*self.large_model.parameters, *self.large.added)
+        return [name for name in of_large if name in of_small]
 
     @property
     def further(self) -> list[str]:
-        """Parameters that only the larger model has."""
-        known = self.small_model.parameters
-        return [name for name in self.large_model.parameters if name not in known]
+        """Inside names of the parameters that only the larger model has."""
+        of_small = self.small_model.parameters
+        return [name for name in self.large_model.parameters if name not in of_small]
 
 
 @traced_once()
@@ -67,12 +71,19 @@ def nested_values(
         raise NotNestedError(
             f"{' and '.join(labels)} differ in their criteria, delays, ties or other settings"
         )
-    implicit = {b.outside(n) for a, b in parts for n in b.sensor_noise if n not in a.added}
+    # The smaller criterion estimates the noise of the sensors, too, but not as parameters.
+    implicit = set()
+    for small_part, large_part in parts:
+        for name in large_part.sensor_noise:
+            if name not in small_part.added:
+                implicit.add(large_part.outside(name))
     terms = [name for name in large.free if name not in {*small.free, *implicit}]
     if not terms or count_unknowns(large) <= count_unknowns(small):
         raise NotNestedError(f"{labels[1]} estimates no more numbers than {labels[0]}")
 
-    pairs = [_Pair(a, b, small.model_of(k), large.model_of(k)) for k, (a, b) in enumerate(parts)]
+    pairs = []
+    for k, (small_part, large_part) in enumerate(parts):
+        pairs.append(_Pair(small_part, large_part, small.model_of(k), large.model_of(k)))
     further = [pair.large.outside(name) for pair in pairs for name in pair.further]
     require_known(at, further, "term", labels[1])
     values = _held_values(pairs, small, large, labels)
@@ -145,12 +156,14 @@ def _removing_values(
     pair: _Pair, small: Fit, large: Fit, labels: tuple[str, str], at: Values
 ) -> dict[str, float]:
     """Return the values at which the parameters of one part that `small` lacks have no effect."""
-    inside = _values_of_model(pair, small, large, labels, at)
+    inside_values = _values_of_model(pair, small, large, labels, at)
     # Biases, gains and process noise are absent at zero.
-    known = {*pair.small.added, *pair.large.sensor_noise}
-    inside |= dict.fromkeys((name for name in pair.large.added if name not in known), 0.0)
+    not_removed = {*pair.small.added, *pair.large.sensor_noise}
+    for name in pair.large.added:
+        if name not in not_removed:
+            inside_values[name] = 0.0
 
-    values = {pair.large.outside(name): value for name, value in inside.items()}
+    values = {pair.large.outside(name): value for name, value in inside_values.items()}
     for name, value in values.items():
         quantity = large.by_name[name]
         low, high = quantity.bounds
@@ -171,18 +184,21 @@ def _values_of_model(
     the model states other values.
     """
     outside = {name: pair.large.outside(name) for name in pair.further}
-    usual = {n: 0.0 if o in large.free else large.estimate[o] for n, o in outside.items()}
+    usual = {}
+    for name, outside_name in outside.items():
+        is_free = outside_name in large.free
+        usual[name] = 0.0 if is_free else large.estimate[outside_name]
     if at:
         return usual | {name: at[o] for name, o in outside.items() if o in at}
     stated = pair.large_model.contains(pair.small_model)
     if stated is not None:
         return usual | dict(stated)
 
-    fixed = {
-        name: small.estimate[pair.small.outside(name)]
-        for name in pair.small_model.parameters
-        if small.by_name[pair.small.outside(name)].kind == "fixed"
-    }
+    fixed = {}
+    for name in pair.small_model.parameters:
+        outside_name = pair.small.outside(name)
+        if small.by_name[outside_name].kind == "fixed":
+            fixed[name] = small.estimate[outside_name]
     values = usual | selected(fixed, pair.shared)
     is_same_model = pair.small.model == pair.large.model
     if is_same_model or same_formulas(pair.large_model, pair.small_model, values, fixed):
@@ -199,21 +215,24 @@ def _require_effect(pairs: list[_Pair], values: Values, labels: Sequence[str]) -
 
     The ratio then does not have the distribution of the test: Davies (1977), Biometrika 64.
     """
-    idle = []
-    for name in values if len(values) > 1 else ():
-        moved = values[name] + 0.1 * max(abs(values[name]), 1.0)
+    if len(values) == 1:
+        return
+    without_effect = []
+    for name in values:
+        changed_value = values[name] + 0.1 * max(abs(values[name]), 1.0)
         effects = []
         for pair in pairs:
             model, outside = pair.large_model, pair.large.outside
             inside = {n: values[outside(n)] for n in model.parameters if outside(n) in values}
-            changed = {n: moved for n in inside if outside(n) == name}
+            changed = {n: changed_value for n in inside if outside(n) == name}
             if changed:
                 effects.append(not same_formulas(model, model, inside | changed, inside))
         if effects and not any(effects):
-            idle.append(name)
+            without_effect.append(name)
 
-    if idle:
+    if without_effect:
+        names = listed(without_effect)
         raise ValueError(
-            f"{listed(idle)} of {labels[1]} has no effect where the other terms are as in "
-            f"{labels[0]}, so no nested test is valid: fix {listed(idle)} to test the others."
+            f"{names} of {labels[1]} has no effect where the other terms are as in "
+            f"{labels[0]}, so no nested test is valid: fix {names} to test the others."
         )

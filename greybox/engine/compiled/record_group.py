@@ -138,16 +138,21 @@ def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[T
     """Return trajectories with `shared_products`, where some part has few numbers."""
     if not any(part.few.any() for part in parts):
         return [*trajectories]
-    result, products = [*trajectories], [t.products for t in trajectories]
-    # The end terms of manoeuvres follow the variances of their outputs, and change these.
+    result = [*trajectories]
+    products = [trajectory.products for trajectory in trajectories]
+    # The end terms of manoeuvres depend on the variances of their outputs, and change them.
     for _ in range(50):
         shared = shared_products(parts, products)
-        zipped = zip(parts, result, shared, strict=True)
-        pairs = [part.with_products(t, p) for part, t, p in zipped]
-        result, own = [t for t, _ in pairs], [p for _, p in pairs]
-        if all(a is b or np.allclose(a, b) for a, b in zip(own, products, strict=True)):
+        next_result = []
+        next_products = []
+        for part, trajectory, of_part in zip(parts, result, shared, strict=True):
+            changed, own = part.with_products(trajectory, of_part)
+            next_result.append(changed)
+            next_products.append(own)
+        result = next_result
+        if all(a is b or np.allclose(a, b) for a, b in zip(next_products, products, strict=True)):
             break
-        products = own
+        products = next_products
     return result
 
 

@@ -5,6 +5,7 @@ This is the one function that simulation, linearization, transcription and predi
 `greybox.engine.compiled.segments` do so in numpy.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -94,10 +95,10 @@ class SampleStep:
         """Return the states (m + 1, n) of m samples from a state (n,); data (m, width)."""
         m = len(data)
         q = np.ascontiguousarray(q, dtype=float)
-        size = -(-m // RUN) * RUN
+        # A call takes RUN samples.
+        size = math.ceil(m / RUN) * RUN
         states = np.empty((size + 1, len(x)))
         states[0] = x
-        # A call takes RUN samples.
         last = np.pad(data[size - RUN :], ((0, size - m), (0, 0)), "edge")
 
         # CasADi reads and writes these arrays in place: with a conversion of 6000 samples a call
@@ -164,9 +165,8 @@ def _measurement(
     p = q[: len(system.parameters)]
     bias = {name: q[names.index(bias_name(name))] for name in biases}
 
-    of_inputs, of_outputs = (
-        as_column(bias.get(name, 0) for name in names) for names in (system.inputs, system.outputs)
-    )
+    input_biases = as_column(bias.get(name, 0) for name in system.inputs)
+    output_biases = as_column(bias.get(name, 0) for name in system.outputs)
 
     delay = system.delay(p)
     rows = []
@@ -176,16 +176,18 @@ def _measurement(
         rows.append(ca.horzcat(*input_over_step(window[3 * i : 3 * i + 3], fraction, held[i])))
 
     mean, change, now = ca.horzsplit(ca.vertcat(ca.SX(0, 3), *rows))
-    mean, now = mean - of_inputs, now - of_inputs
-    simulated = system.output(x, now, p) + of_outputs
-    # Zero where nothing was measured: no correction, and no share in the cost.
+    mean = mean - input_biases
+    now = now - input_biases
+    simulated = system.output(x, now, p) + output_biases
+    # The residual is zero where nothing was measured: no correction, and no share in the cost.
     residual = present * (measured - simulated)
 
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
     for i, state in enumerate(system.states if corrects else ()):
         for j, output in enumerate(system.outputs):
-            if f"K_{state}_{output}" in names:
-                corrected[i] += q[names.index(f"K_{state}_{output}")] * residual[j]
+            gain = f"K_{state}_{output}"
+            if gain in names:
+                corrected[i] += q[names.index(gain)] * residual[j]
 
     data = ca.vertcat(whole, window, measured, present, step)
     return ca.Function("measurement", [x, q, data], [corrected, mean, change, residual, simulated])

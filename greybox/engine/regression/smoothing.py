@@ -61,7 +61,8 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
             "time base of its own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], mean_step(time[rows])) for rows in parts]
-    amplitude, omega = map(np.concatenate, zip(*sines, strict=True))
+    amplitude = np.concatenate([amplitude for amplitude, _ in sines])
+    omega = np.concatenate([omega for _, omega in sines])
     # A straight line leaves nothing but rounding errors.
     is_line = sum_of_squares(amplitude) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)

@@ -94,7 +94,8 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
 def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     """Return the first derivative, output or simulated state that is not finite."""
     system, placed, sampled = part.system, trajectory.detail, part.data
-    x, data = map(part.segments.in_order, (trajectory.states, placed.data))
+    x = part.segments.in_order(trajectory.states)
+    data = part.segments.in_order(placed.data)
     _, u, _, residual, _ = [matrix.full() for matrix in part.step.measurement(x, placed.q, data)]
     slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
     # A state is simulated to the next sample, also at the end of a segment.

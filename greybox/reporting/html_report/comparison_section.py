@@ -29,8 +29,12 @@ GRADES = {"good": "good", "doubt": "in doubt", "poor": "poor", "failed": "failed
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) -> list[Element]:
     """Return estimates, tests and figures of all results."""
-    converged = [(e.label, e.fit) for e in entries if e.fit is not None and e.fit.converged]
-    labels, fits = [label for label, _ in converged], [fit for _, fit in converged]
+    labels = []
+    fits = []
+    for entry in entries:
+        if entry.fit is not None and entry.fit.converged:
+            labels.append(entry.label)
+            fits.append(entry.fit)
     # More curves than colors cannot be distinguished.
     few = 2 <= len(fits) <= 6  # fits in one figure: there are six colors
     content = list(_estimates(entries))

@@ -1,10 +1,8 @@
-"""Elements of the page: the tree of the standard library, which escapes texts and attributes.
+"""Elements of the page: texts, formulas, figures and tables.
 
-The formulas of a description, set by matplotlib.
-
-Figures on the page: elements with the numbers that the script `page.js` draws.
-
-Tables of the page; its script can sort them.
+An element is one of the standard library's XML tree, which escapes texts and attributes. Formulas
+are images by matplotlib. A figure has the numbers that the script `page.js` draws; the script also
+sorts tables.
 """
 
 import io
@@ -55,6 +53,7 @@ def html(element: Element) -> str:
 
 
 def _append(element: Element, children: Child) -> None:
+    """Append texts and elements to an element."""
     if isinstance(children, str):
         text = html_text(children)
         # This tree keeps a text in the element before it.
@@ -69,7 +68,8 @@ def _append(element: Element, children: Child) -> None:
             _append(element, child)
 
 
-# Backticks, and the arguments of a class, which are not part of its equation.
+# Parts of a docstring that the page omits: backticks, and the arguments of a class, which are not
+# part of its equation.
 OMITTED = r"(?s)`|\n\n(Parameters|Raises)\n-.+?(?=\n\n|$)"
 
 
@@ -81,17 +81,20 @@ def description(text: str) -> Iterator[Element]:
 
 def with_formulas(text: str) -> list[Child]:
     """Return a text with the formulas between dollar signs as images."""
-    pieces = re.split(r"(?s)(\$\$.+?\$\$|\$.+?\$)", text)
-    return [_formula(piece) if k % 2 else piece for k, piece in enumerate(pieces)]
+    # Texts and formulas alternate.
+    pieces: list[Child] = [*re.split(r"(?s)(\$\$.+?\$\$|\$.+?\$)", text)]
+    pieces[1::2] = [_formula(str(piece)) for piece in pieces[1::2]]
+    return pieces
 
 
 def _formula(piece: str) -> Child:
+    """Return a formula, between dollar signs, as an image; as code if matplotlib cannot set it."""
     from matplotlib import rc_context  # noqa: PLC0415  (takes a third of a second)
     from matplotlib.mathtext import math_to_image  # noqa: PLC0415
 
     is_display = piece.startswith("$$")
     formula = " ".join(piece.strip("$").split())
-    # As LaTeX does between two dollar signs.
+    # Between two dollar signs, LaTeX writes large fractions.
     drawn = formula.replace(r"\frac", r"\dfrac") if is_display else formula
     image = io.BytesIO()
     try:
@@ -103,8 +106,12 @@ def _formula(piece: str) -> Child:
     return tag("img", src=source, alt=formula, class_="display" if is_display else None)
 
 
-DIGITS = 5  # of numbers in a figure: a pixel is a thousandth of a panel
-COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about 18 kB
+# Significant digits of numbers in a figure: a pixel is a thousandth of a panel.
+DIGITS = 5
+# Columns of a line on the page, two pixels wide; a line then takes about 18 kB.
+COLUMNS = 600
+# Letters above which the text of a cell is broken into lines.
+LONG_TEXT = 24
 
 
 def figure_grid(figures: Sequence[Figure]) -> Element:
@@ -115,7 +122,7 @@ def figure_grid(figures: Sequence[Figure]) -> Element:
 
 def figure_element(figure: Figure, is_alone: bool = False) -> Element:
     """Return a figure; the script draws into the element of class ``plot``."""
-    # In an attribute, which is escaped: a name in the data could end a script element.
+    # The data are in an attribute, which is escaped: a name in them could end a script element.
     data = json.dumps(
         figure, allow_nan=False, default=_plain, ensure_ascii=False, separators=(",", ":")
     )
@@ -125,7 +132,7 @@ def figure_element(figure: Figure, is_alone: bool = False) -> Element:
 
 
 def _plain(item: Any) -> Any:
-    """Return numbers as a list, anything else by the names of its attributes."""
+    """Return an array as a list of numbers, and other values as a mapping of their attributes."""
     if isinstance(item, np.ndarray):
         values = np.asarray(item, dtype=float)
         finite = values[np.isfinite(values)]
@@ -143,7 +150,7 @@ def _number(value: float, span: float) -> float | None:
     """Return a number with the digits that a figure of this span needs, None if not finite."""
     if not math.isfinite(value):
         return None
-    # Five digits of a clock time in seconds would be all alike: far from zero keep more of them.
+    # The first five digits of clock times in seconds are the same: far from zero, more are kept.
     digits = math.ceil(math.log10(abs(value) / span)) if 0 < span < abs(value) else 0
     return float(f"{value:.{DIGITS + digits}g}")
 
@@ -159,13 +166,12 @@ class Cell:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
-    # One number makes a column of numbers: dashes stand for those that are not known.
-    is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]
-    head = [
-        tag("th", text, scope="col", class_="number" if right else None)
-        for text, right in zip(header, is_number, strict=True)
-    ]
-    body = tag("tbody", [tag("tr", map(_cell, row, is_number)) for row in rows])
+    # One number makes a column of numbers, in which a dash is an unknown number.
+    are_numbers = [any(row[k].value is not None for row in rows) for k in range(len(header))]
+    head = []
+    for text, are_numbers_here in zip(header, are_numbers, strict=True):
+        head.append(tag("th", text, scope="col", class_="number" if are_numbers_here else None))
+    body = tag("tbody", [tag("tr", map(_cell, row, are_numbers)) for row in rows])
     return tag(
         "div",
         tag("table", tag("thead", tag("tr", head)), body, class_="sortable"),
@@ -176,32 +182,48 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
 
 def parameter_table(fit: Fit) -> Element:
     """Return the table of all quantities; for a failed fit, the last values of its best run."""
-    header, rows, left = printed.parameter_table(fit)
-    # A unit of 1 is a text, too.
-    cells = [
-        [Cell(x, float(x) if is_number(x) and k not in left else None) for k, x in enumerate(row)]
-        for row in rows
-    ]
-    for row, (*_, about) in zip(cells, rows, strict=True):
+    parameters = printed.parameter_table(fit)
+    rows = []
+    for texts in parameters.rows:
+        row = []
+        for k, text in enumerate(texts):
+            # Columns that are flush left are texts, also a unit of 1.
+            is_value = is_number(text) and k not in parameters.left
+            row.append(Cell(text, float(text) if is_value else None))
+        about = texts[-1]
         row[-1] = Cell(with_formulas(about) if "$" in about else about)
+        rows.append(row)
+    header = parameters.header
     if fit.converged:
+        # The further columns are behind name, estimate and error.
         header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
-        intervals = fit.interval(0.95)
-        shares = {}
-        with suppress(ValueError):  # the fit has no standard errors
-            judged = fit.identifiability
-            shares = dict(
-                zip(judged.names, np.array([judged.error, judged.insensitivity]).T, strict=True)
-            )
-        for row, (name, *_) in zip(cells, rows, strict=True):
-            low, high = intervals.get(name, (math.nan, math.nan))
-            error, insensitivity = shares.get(name, (math.nan, math.nan))
-            row[3:3] = [
-                Cell(_interval(low, high), low),
-                _share(error, ERROR_GUIDELINE),
-                _share(insensitivity, INSENSITIVITY_GUIDELINE),
-            ]
-    return table(header, cells)
+        judgments = _judgments(fit)
+        for row, texts in zip(rows, parameters.rows, strict=True):
+            name = texts[0]
+            # The last row may count the quantities that are left out.
+            row[3:3] = judgments.get(name, [Cell("–", math.nan), Cell("–"), Cell("–")])
+    return table(header, rows)
+
+
+def _judgments(fit: Fit) -> dict[str, list[Cell]]:
+    """Return cells for the interval, the error and the insensitivity of every quantity."""
+    errors: dict[str, float] = {}
+    insensitivities: dict[str, float] = {}
+    with suppress(ValueError):  # the fit has no standard errors
+        judged = fit.identifiability
+        errors = dict(zip(judged.names, judged.error.tolist(), strict=True))
+        insensitivities = dict(zip(judged.names, judged.insensitivity.tolist(), strict=True))
+    intervals = fit.interval(0.95)
+    cells = {}
+    for quantity in fit.quantities:
+        name = quantity.name
+        low, high = intervals.get(name, (math.nan, math.nan))
+        cells[name] = [
+            Cell(_interval(low, high), low),
+            _share(errors.get(name, math.nan), ERROR_GUIDELINE),
+            _share(insensitivities.get(name, math.nan), INSENSITIVITY_GUIDELINE),
+        ]
+    return cells
 
 
 def number_cell(value: float | None, digits: int = 5) -> Cell:
@@ -212,6 +234,7 @@ def number_cell(value: float | None, digits: int = 5) -> Cell:
 
 
 def _share(share: float, guideline: float) -> Cell:
+    """Return the cell of a relative error, marked beyond its guideline."""
     if math.isnan(share):
         return Cell("–")
     text = percent(share)
@@ -219,6 +242,7 @@ def _share(share: float, guideline: float) -> Cell:
 
 
 def _interval(low: float, high: float) -> str:
+    """Return a 95 % interval as text."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "–"
     # A quarter of a 95 % interval is about one standard error, which decides the digits.
@@ -226,11 +250,12 @@ def _interval(low: float, high: float) -> str:
 
 
 def _cell(cell: Cell, is_number: bool) -> Element:
+    """Return the element of a cell, in a column of numbers or of texts."""
     text = cell.text
     classes = [cell.mark, "number" if is_number else ""]
     # Numbers are never broken into lines; sentences must be, or they would widen the page.
     if isinstance(text, str):
-        if len(text) > 24:  # characters from which a text is broken into lines
+        if len(text) > LONG_TEXT:
             classes.append("prose")
         if is_number:
             text = text.replace("-", "−").replace("inf", "∞")

@@ -212,7 +212,8 @@ def _section(title: str, content: Child) -> Element:
 
 
 def _document(title: str, sections: Sequence[Element], author: str) -> str:
-    script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
+    script = (HERE / "page.js").read_text(encoding="utf-8")
+    style = (HERE / "page.css").read_text(encoding="utf-8")
     links = [
         tag("li", tag("a", section.findtext(".//h2", ""), href=f"#{section.get('id')}"))
         for section in sections

@@ -1,5 +1,6 @@
 """Lines of long records: gaps remain open, and no more points are drawn than can be seen."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,7 +8,8 @@ import numpy as np
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.record import runs_between_gaps
 
-COLUMNS = 2000  # pixels of a figure of 10 inches at 200 dpi; each shows two extremes
+# Pixels of a figure of 10 inches at 200 dpi; each column of pixels shows two extremes.
+COLUMNS = 2000
 
 
 def drawn_line(
@@ -18,15 +20,20 @@ def drawn_line(
 ) -> tuple[Array, Array]:
     """Return the pieces of a line with NaN between them; long ones keep the extremes of columns."""
     # Every n-th sample would hide spikes; the smallest and the largest of each column show them.
-    size = -(-sum(map(len, rows)) // columns)
+    samples_per_column = math.ceil(sum(map(len, rows)) / columns)
     pieces: list[IntArray] = []
     for run in rows:
         finite = run[np.isfinite(values[run])]
-        usual = float(np.median(np.diff(finite))) if finite.size > 1 else 1.0
-        # An output that is sampled in every tenth row is a line through these, up to its own gaps.
-        slow = [finite[places] for places in runs_between_gaps(finite, 2 * usual)]
-        pieces += slow if usual > 1 else [run]
-    if size > 2:  # two samples are their own extremes
+        usual_distance = float(np.median(np.diff(finite))) if finite.size > 1 else 1.0
+        if usual_distance > 1:
+            # An output that is sampled in every tenth row is a line through these, up to its gaps.
+            for places in runs_between_gaps(finite, 2 * usual_distance):
+                pieces.append(finite[places])
+        else:
+            pieces.append(run)
+    # Two samples are their own extremes.
+    size = samples_per_column
+    if size > 2:
         pieces = [piece[_extremes(values[piece], size)] for piece in pieces]
 
     def joined(numbers: Array) -> Array:

@@ -1,6 +1,7 @@
 """The matplotlib renderer: draws a `Figure` value into new axes or into those of a user."""
 
 import io
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -38,9 +39,13 @@ NAMED = {GRAY: "#999999", INK: "#222222"}
 DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
-CROWD = 100  # points of one series above which markers shrink and lie below the curves
+# Number of points of one series above which markers shrink and lie below the curves.
+CROWD = 100
+# Number of samples above which a line is thinner.
+LONG_LINE = 400
 BAND_ALPHA = 0.2
-ORDER = ("points", "line", "rule", "band", "regions")  # in a legend
+# Kinds of series in the order of a legend.
+ORDER = ("points", "line", "rule", "band", "regions")
 
 AxesArray = NDArray[np.object_]
 """Matplotlib Axes, in one dimension."""
@@ -104,11 +109,11 @@ def draw(
             f"{figures[0].title} has {len(names)} panels ({'; '.join(names)}), but `axes` has "
             f"{drawn.size}: give one for each."
         )
-    for place, figure in _draw_panels(drawn, figures, hz):
+    for figure_axes, figure in _draw_panels(drawn, figures, hz):
         # Rows with names leave no free place: the legend stands above them.
         look = {"loc": "lower left", "bbox_to_anchor": (0, 1)} if figure.panels[0].ticks else {}
         if legend:
-            _draw_legend(place[0], [figure], fontsize=9, **look)
+            _draw_legend(figure_axes[0], [figure], fontsize=9, **look)
     return drawn
 
 
@@ -123,15 +128,16 @@ def draw_into(
     """Draw figures into an empty matplotlib figure or a part of one, with their legend below."""
     panels = _panels(figures)
     if len(figures) == 1:
-        # One horizontal axis: zooming one panel zooms all.
-        heights = [p.height for p in panels]
+        # The panels share one horizontal axis: zooming one panel zooms all.
+        heights = [panel.height for panel in panels]
         axes = place.subplots(
             len(panels), 1, squeeze=False, sharex=True, height_ratios=heights
         ).ravel()
     else:
-        axes = place.subplots(-(-len(panels) // columns), columns, squeeze=False).ravel()
-        for spare in axes[len(panels) :]:
-            spare.remove()
+        rows = math.ceil(len(panels) / columns)
+        axes = place.subplots(rows, columns, squeeze=False).ravel()
+        for unused in axes[len(panels) :]:
+            unused.remove()
 
     axes = axes[: len(panels)]
     _draw_panels(axes, figures, hz)
@@ -145,12 +151,13 @@ def draw_into(
 
 def height_of(figures: Sequence[Figure], inches: float, columns: int = 1) -> float:
     """Return the height in inches that figures with panels of this height need."""
-    rows = -(-len(_panels(figures)) // columns)
+    rows = math.ceil(len(_panels(figures)) / columns)
     if len(figures) == 1:
         rows = sum(panel.height for panel in figures[0].panels)
-    # Names below the axis stand upright, a letter takes 0.08 inch.
-    names = max((len(name) for figure in figures for name in figure.ticks), default=0)
-    return 1.1 + 0.08 * names + inches * rows
+    # Names below the axis are written upright, and a letter takes 0.08 inch. Title, axis and legend
+    # take 1.1 inch.
+    letters = max((len(name) for figure in figures for name in figure.ticks), default=0)
+    return 1.1 + 0.08 * letters + inches * rows
 
 
 def flat_axes(axes: GivenAxes) -> AxesArray:
@@ -173,6 +180,7 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
 
 
 def _panels(figures: Sequence[Figure]) -> list[Panel]:
+    """Return the panels of all figures."""
     return [panel for figure in figures for panel in figure.panels]
 
 
@@ -182,21 +190,22 @@ def _draw_panels(
     """Draw all panels, and return the figures with their axes."""
     if hz:
         figures = [in_hertz(figure) for figure in figures]
-    places = []
+    drawn = []
     for figure in figures:
-        place, axes = np.split(axes, [len(figure.panels)])
-        for ax, panel in zip(place, figure.panels, strict=True):
+        figure_axes, axes = np.split(axes, [len(figure.panels)])
+        for ax, panel in zip(figure_axes, figure.panels, strict=True):
             _draw_panel(ax, figure, panel)
-        _horizontal_axis(place, figure)
-        places.append((place, figure))
+        _horizontal_axis(figure_axes, figure)
+        drawn.append((figure_axes, figure))
 
-    return places
+    return drawn
 
 
 # --- one panel
 
 
 def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
+    """Draw a panel of a figure, without its horizontal axis."""
     for start, end, color in figure.spans:
         ax.axvspan(start, end, color=color_of(color), alpha=0.15, linewidth=0)
     if figure.is_plane:
@@ -206,10 +215,9 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
         _DRAWERS[series.kind](ax, series)
     if figure.is_plane:
         _draw_plane(ax, figure, panel)
-    titles = [figure.subject if panel is figure.panels[0] else "", panel.title]
-    ax.set_title(
-        plain("\n".join(filter(None, titles))), fontsize=12 if titles[0] else 10, wrap=True
-    )
+    subject = figure.subject if panel is figure.panels[0] else ""
+    title = "\n".join(text for text in (subject, panel.title) if text)
+    ax.set_title(plain(title), fontsize=12 if subject else 10, wrap=True)
 
     _vertical_axis(ax, panel)
     ax.set_ylabel(plain(panel.label), fontsize=11)
@@ -230,9 +238,11 @@ def _draw_points(ax: Axes, series: Series) -> None:
     y = _finite(series.y)
     layer = 3.0 if len(y) <= CROWD else 1.5
     if series.low is not None and series.high is not None:
+        # In the complex plane, the error of a point is a circle; elsewhere it is a bar.
         if ax.get_aspect() == 1:
-            turn = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
-            circles = (series.x + 1j * y)[:, None] + (series.high - series.low)[:, None] / 2 * turn
+            unit_circle = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
+            radius = (series.high - series.low)[:, None] / 2
+            circles = (series.x + 1j * y)[:, None] + radius * unit_circle
             _draw_regions(ax, outlined(circles, series.color, is_hollow=True))
         else:
             look = {"colors": color_of(series.color), "linewidths": 1.0, "alpha": 0.2 * layer}
@@ -248,7 +258,7 @@ def _draw_points(ax: Axes, series: Series) -> None:
 def _draw_band(ax: Axes, series: Series) -> None:
     assert series.low is not None
     assert series.high is not None
-    # It omits infinity.
+    # `fill_between` omits infinity, so that the limits need no `_finite`.
     ax.fill_between(
         series.x,
         series.low,
@@ -314,26 +324,38 @@ def _write_labels(ax: Axes, panel: Panel, unit: str) -> None:
     look = {"fontsize": 8.5, "color": "0.25", "ha": "center", "va": "center"}
     outline = [withStroke(linewidth=2, foreground="white")]
     written: list[tuple[str, complex]] = []
-    labeled = [series for series in panel.series if series.labels]
-    for series in labeled:
-        spots = series.x + 1j * series.y
-        # Away from their middle; a single point has its label at the right.
-        away = spots - spots.mean() + 1e-300
-        outward = away / np.abs(away)
-        for text, spot, normal in zip(series.labels, spots, outward, strict=True):
+
+    def has_room(text: str, point: complex) -> bool:
+        for other_text, other_point in written:
             # Points of several tests at one frequency lie near each other: one number is enough.
-            if any(abs(spot - at) < (3 if text == name else 1) * room for name, at in written):
+            needed = 3 * room if text == other_text else room
+            if abs(point - other_point) < needed:
+                return False
+        return True
+
+    for series in panel.series:
+        if not series.labels:
+            continue
+        points = series.x + 1j * series.y
+        # Labels lie on the side away from the middle of the points, that of a single point at the
+        # right: the tiny number gives zero a direction.
+        away = points - points.mean() + 1e-300
+        outward = away / np.abs(away)
+        for text, point, normal in zip(series.labels, points, outward, strict=True):
+            if not has_room(text, point):
                 continue
+            # The first label has the unit. A longer label begins farther away.
             label = text if written else f"{text} {unit}"
+            offset = (normal.real * (7 + 2.2 * len(label)), normal.imag * 11)  # points
             ax.annotate(
                 label,
-                (spot.real, spot.imag),
-                (normal.real * (7 + 2.2 * len(label)), normal.imag * 11),  # points
+                (point.real, point.imag),
+                offset,
                 textcoords="offset points",
                 path_effects=outline,
                 **look,
             )
-            written.append((text, spot))
+            written.append((text, point))
 
 
 def _look(series: Series) -> dict[str, Any]:
@@ -341,11 +363,14 @@ def _look(series: Series) -> dict[str, Any]:
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}
     if series.kind in ("line", "rule", "regions"):
-        # Long records swing so fast that wide lines would fill the panel. What was measured is gray
-        # and must show beside the thin lines on it.
-        thin = 2.4 if series.color == GRAY else 0.9
-        width = thin if len(series.x) > 400 else 1.6
-        return {**look, "linestyle": _dash(series), "linewidth": 0.3 if series.is_hollow else width}
+        width = 1.6
+        if series.is_hollow:
+            width = 0.3
+        elif len(series.x) > LONG_LINE:
+            # Long records swing so fast that wide lines would fill the panel. Measurements are gray
+            # and must be visible beside the thin lines on them.
+            width = 2.4 if series.color == GRAY else 0.9
+        return {**look, "linestyle": _dash(series), "linewidth": width}
 
     look |= {"linestyle": "none", "markersize": MARKER_SIZE}
     if series.style == CROSS:
@@ -357,6 +382,7 @@ def _look(series: Series) -> dict[str, Any]:
 
 
 def _dash(series: Series) -> str:
+    """Return the line style of a series."""
     return DASHES[series.style % len(DASHES)]
 
 
@@ -381,6 +407,7 @@ def plain(text: str) -> str:
 
 
 def _vertical_axis(ax: Axes, panel: Panel) -> None:
+    """Set scale, limits and ticks of the vertical axis."""
     if panel.is_logarithmic:
         ax.set_yscale("log")
     if panel.limits is not None and ax.get_aspect() != 1:  # equal aspect changes the limits
@@ -388,19 +415,24 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
     if panel.is_logarithmic:
         _number_decades(ax.yaxis, *ax.get_ylim())
 
-    # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     low, high = ax.get_ylim()
-    span = float(high) - float(low)  # of Python, which warns of no overflow
+    span = float(high) - float(low)  # floats of Python, which warn of no overflow
     if panel.ticks:
         ax.set_yticks(range(1, len(panel.ticks) + 1), [*map(plain, panel.ticks)])
     elif not panel.is_logarithmic:
-        steps = [1, 1.5, 3, 4.5, 9, 10] if panel.steps and span > 60 else [1, 2, 5, 10]
-        ax.yaxis.set_major_locator(MaxNLocator(7 if panel.height >= 1 else 4, steps=steps))
+        steps = [1, 2, 5, 10]
+        # Over less than 60 degrees, these steps read well for angles too.
+        if panel.steps and span > 60:
+            steps = [1, 1.5, 3, 4.5, 9, 10]
+        most = 7 if panel.height >= 1 else 4
+        ax.yaxis.set_major_locator(MaxNLocator(most, steps=steps))
 
 
 def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
+    """Set label, scale, limits and ticks of the horizontal axes of a figure."""
     for ax in axes:
-        if ax.xaxis.get_tick_params().get("labelbottom", True):  # of stacked panels, the lowest
+        # Only the lowest of stacked panels has a label.
+        if ax.xaxis.get_tick_params().get("labelbottom", True):
             ax.set_xlabel(plain(figure.label), fontsize=11)
         if figure.limits is not None and not figure.is_plane:
             ax.set_xlim(figure.limits)
@@ -411,7 +443,7 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
     if figure.is_logarithmic:
-        # From everything in the axes, including what a user drew into them before.
+        # The limits include everything in the axes, also what a user drew into them before.
         low = min(ax.dataLim.minposx for ax in axes)
         high = max(ax.dataLim.xmax for ax in axes)
         for ax in axes:
@@ -420,13 +452,14 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
 
 
 def _number_decades(axis: Axis, low: float, high: float) -> None:
-    """Write plain numbers at a logarithmic axis: 60, not 6 times a power of ten.
-
-    1, 2 and 5 of every decade where there is room.
-    """
-    linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
-    decades = LogLocator(subs=(1, 2, 5) if high < 1e3 * low else (1,))
-    axis.set_major_locator(linear if high < 5 * low else decades)
+    """Write plain numbers at a logarithmic axis: 60, not 6 times a power of ten."""
+    if high < 5 * low:
+        axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    elif high < 1e3 * low:
+        # Up to three decades have room for 1, 2 and 5 of each.
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1,)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter("")
 
@@ -436,27 +469,30 @@ def _number_decades(axis: Axis, low: float, high: float) -> None:
 
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     """Return the keys by label: points, lines, then bands; a label has a key for every color."""
-    drawn = [
-        (figure, panel, series)
-        for figure in figures
-        for panel in figure.panels
-        for series in panel.series
-    ]
-    # One entry "measured" with the markers of six data sets is read faster than six entries.
+    drawn = []
+    for figure in figures:
+        for panel in figure.panels:
+            for series in panel.series:
+                drawn.append((figure, panel, series))
+    drawn.sort(key=lambda item: ORDER.index(item[2].kind))
+    # One entry "measured" with the markers of six data sets is read faster than six entries: the
+    # keys of a name are distinguished by color and style.
     keys: dict[str, dict[tuple[int, int], Artist]] = {}
-    first: dict[str, Panel] = {}  # in panels below, a name may have another style
-    for figure, panel, series in sorted(drawn, key=lambda item: ORDER.index(item[2].kind)):
+    # In panels below the first one with a name, the name may have another style.
+    first_panels: dict[str, Panel] = {}
+    for figure, panel, series in drawn:
         is_area = series.kind in ("band", "regions") and not series.is_hollow
         name = figure.bands if is_area else series.name
-        if name and first.setdefault(name, panel) is panel:
+        if name and first_panels.setdefault(name, panel) is panel:
             key = Line2D([], [], **_look(series))
             if is_area:
                 key = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
             keys.setdefault(plain(name), {})[series.color, series.style] = key
 
-    return {
-        name: tuple(by_look[look] for look in sorted(by_look)) for name, by_look in keys.items()
-    }
+    entries = {}
+    for name, by_look in keys.items():
+        entries[name] = tuple(by_look[look] for look in sorted(by_look))
+    return entries
 
 
 def _draw_legend(place: Any, figures: Sequence[Figure], width: float = 0.0, **look: Any) -> None:
@@ -464,10 +500,12 @@ def _draw_legend(place: Any, figures: Sequence[Figure], width: float = 0.0, **lo
     entries = _legend_entries(figures)
     if not entries:
         return
+    # Length of the keys in em: several keys of a label need more than one.
     length = max(2.0, 1.2 * max(map(len, entries.values())))
-    # A letter of 10 points takes about 1/11 inch, an em of the key 1.5 letters.
-    longest = np.cumsum(sorted(map(len, entries), reverse=True))
-    widths = longest + (3 + 1.5 * length) * np.arange(1, 1 + len(entries))
+    # Widths of the first columns, in letters, if they have the longest labels. A letter of 10
+    # points takes about 1/11 inch, an em of the key 1.5 letters.
+    letters = np.cumsum(sorted(map(len, entries), reverse=True))
+    widths = letters + (3 + 1.5 * length) * np.arange(1, 1 + len(entries))
     columns = max(1, np.count_nonzero(widths <= 11 * width))
     handlers = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
     look |= {"ncols": columns, "handler_map": handlers, "handlelength": length}

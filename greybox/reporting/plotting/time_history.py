@@ -1,5 +1,6 @@
 """Time histories: measured, fitted or predicted outputs, their residuals, and the inputs."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -223,7 +224,8 @@ def _drawn(
     lines = [Series(name, "line", x, y, color)]
     if half is not None:
         # Bands follow from sensitivities and are smooth: 400 points draw them.
-        pieces = [piece[:: -(-len(data) // 400)] for piece in rows]
+        stride = math.ceil(len(data) / 400)
+        pieces = [piece[::stride] for piece in rows]
         x, low = drawn_line(data.time, middle - half, pieces)
         _, high = drawn_line(data.time, middle + half, pieces)
         lines.insert(0, band(name, x, low, high, color))

@@ -48,14 +48,15 @@ class Excitation(Record):
     @property
     def peak_factors(self) -> dict[str, float]:
         """Morelli's relative peak factors: peak to peak over 2√2 σ, so that a sine has 1."""
-        return {
-            name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
-            for name, v in self.signals.items()
-        }
+        factors = {}
+        for name, values in self.signals.items():
+            factors[name] = float(np.ptp(values) / (2 * math.sqrt(2) * np.std(values)))
+        return factors
 
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})
-        low, high = min(s.low for s in self.schedule), max(s.high for s in self.schedule)
+        low = min(maneuver.low for maneuver in self.schedule)
+        high = max(maneuver.high for maneuver in self.schedule)
         factors = ", ".join(f"{value:.2f}" for value in self.peak_factors.values())
         return (
             f"{', '.join(kinds)} on {', '.join(self.signals)}: {self.time.size / self.rate:.1f} s "

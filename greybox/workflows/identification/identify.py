@@ -90,19 +90,19 @@ class Identification:
         return one_line(self, sources, chosen.label if chosen else "no model")
 
     def __str__(self) -> str:
-        chosen = ["Chosen:", *(f"  {choice}" for choice in self.choices)] if self.choices else []
-        parts = ["\n".join(chosen)]
+        parts = []
+        if self.choices:
+            parts.append("\n".join(["Chosen:", *(f"  {choice}" for choice in self.choices)]))
         for recording, measurement in zip(self.recordings, self.measurements, strict=True):
             parts += [str(measurement), "\n".join(recording.findings)]
         if self.selection is not None:
-            series = f", in series with the {' and the '.join(self.through)} of the log"
-            title = f"Structures{series if self.through else ''}:"
+            title = "Structures"
+            if self.through:
+                title += f", in series with the {' and the '.join(self.through)} of the log"
+            parts += [f"{title}:\n{self.selection}", str(self.fit or "")]
             numbers = self.transfer_function
-            parts += [
-                f"{title}\n{self.selection}",
-                str(self.fit or ""),
-                f"Transfer function:\n{numbers}" if numbers else "",
-            ]
+            if numbers:
+                parts.append(f"Transfer function:\n{numbers}")
         return "\n\n".join(part for part in parts if part)
 
 
@@ -167,34 +167,40 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     checksums = {recording.checksum for recording in recordings if recording.checksum}
     if len(checksums) not in (0, len(recordings)):
         raise ValueError("a log is given twice: its errors would count as independent.")
-    # The first log decides the signals of all: two sensors have two responses.
     stated |= {"drop_warned": not all_points, "refined": True}
-    settings, choices = choose(recordings[0], **stated)
-    common = attributes(settings, "input", "output", "axis")
-    used = [settings, *(choose(r, **{**stated, **common})[0] for r in recordings[1:])]
-    measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
-    result = Identification(tuple(recordings), choices, measurements)
+    first, *others = recordings
+    settings, choices = choose(first, **stated)
+    all_settings = [settings]
+    # The first log decides the signals of all: two sensors have two responses.
+    stated |= attributes(settings, "input", "output", "axis")
+    for recording in others:
+        settings, _ = choose(recording, **stated)
+        all_settings.append(settings)
+    measurements = []
+    for recording, settings in zip(recordings, all_settings, strict=True):
+        measurements.append(_judged(measure(recording, settings)))
+    result = Identification(tuple(recordings), choices, tuple(measurements))
     if result.refusals:
         return result
 
     responses = [m.response for m in measurements if m.response is not None]
     filters = _filters(measurements[0], through)
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
-    of_parameters = non_empty({"fixed": fixed, "free": free, "bounds": bounds, "start": start})
+    options = non_empty({"fixed": fixed, "free": free, "bounds": bounds, "start": start})
     models = checked_items("a structure", structures, Structure | Model, "models, as DampedAngle()")
-    listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in models]
-    if listed:
-        names = (name for structure in listed for name in structure.model.parameters)
-        stated_names = chain.from_iterable(of_parameters.values())
+    if models:
+        listed = [m if isinstance(m, Structure) else Structure(m, m.label) for m in models]
+        names = chain.from_iterable(structure.model.parameters for structure in listed)
+        stated_names = chain.from_iterable(options.values())
         require_known(stated_names, names, "parameter", "the list of structures")
-        candidates = [_candidate(s, responses, series, of_parameters, starts, seed) for s in listed]
+        candidates = [_candidate(s, responses, series, options, starts, seed) for s in listed]
         selection = select(candidates)
     else:
         # The structures of the first response are used for all, unless a filter is divided out of
         # it.
         linear = {} if series else measurements[0].linear
         selection = select_orders(
-            responses, through=series, linear=linear, starts=starts, seed=seed, **of_parameters
+            responses, through=series, linear=linear, starts=starts, seed=seed, **options
         )
     return replace(result, selection=selection, through=tuple(filters))
 
@@ -228,10 +234,10 @@ def _filters(measurement: Measurement, names: Sequence[str] | None) -> KnownFilt
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
     if names is None:
-        # Only filters that are certain to lie between the vehicle and this signal.
+        # Only filters that are certain to lie between the vehicle and this signal, in their order.
         passed = measurement.record.filters.get(measurement.response.output, ())
-        filters = {n: f for n, f in measurement.filters.items() if set(f) <= set(passed)}
-        return dict(sorted(filters.items(), key=lambda item: passed.index(item[1][0])))
+        certain = [name for name, known in measurement.filters.items() if set(known) <= set(passed)]
+        names = sorted(certain, key=lambda name: passed.index(measurement.filters[name][0]))
     require_known(names, measurement.filters, "filter", "the log")
     return {name: measurement.filters[name] for name in names}
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -34,20 +33,41 @@ from greybox.workflows.identification.selection import (
 )
 from greybox.workflows.identification.structure_fit import fit_within_far_bounds, stated_for
 
-POLES = 4  # besides the integrators; more can seldom be distinguished in two decades of frequency
+# Largest default orders. More poles besides the integrators can seldom be distinguished in two
+# decades of frequency.
+POLES = 4
 ZEROS = 2
 INTEGRATORS = 2
 
-# Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
-# tried first: more than one turn, in steps narrower than a minimum is wide.
+# Phase in rad by which the longest of the delays that are tried first turns the highest frequency:
+# more than one turn. The number of delays makes their steps narrower than a minimum is wide.
 TURN = 8.0
 DELAYS = 16
-STARTS = 20  # other ones of the chosen structure, to see whether its minimum is the lowest
+# Longest delay of all that are tried, over the longest of the first ones.
+LONGEST = 8
+# Further starts of the chosen structure, which show whether its minimum is the lowest.
+STARTS = 20
+# Differences of BIC from the least above which a structure is not fitted by maximum likelihood.
+NEAR = 10.0
+# Fits by linear least squares of one size that are fitted by maximum likelihood: for random
+# vehicles, least squares come within 1 of the least chi-square (`benchmarks/random_vehicles.py`).
+BEST_OF_SIZE = 2
+# Iterations of Sanathanan and Koerner, after which the coefficients have converged.
+ITERATIONS = 8
 
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of denominator (with its integrators) and numerator; integrators; delay."""
+    """The structure of a rational transfer function.
+
+    Attributes
+    ----------
+    n, m : int
+        Orders of the denominator, integrators included, and of the numerator.
+    integrators : int
+    delay : bool
+        Whether the structure has a delay.
+    """
 
     n: int
     m: int
@@ -56,19 +76,29 @@ class Orders:
 
     @property
     def parameters(self) -> int:
-        """How many parameters the structure has."""
-        return self.n - self.integrators + self.m + 1 + self.delay
+        """The number of parameters of the structure."""
+        delays = 1 if self.delay else 0
+        return self.n - self.integrators + self.m + 1 + delays
 
     def __str__(self) -> str:
-        integrators = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
-        return f"n = {self.n}, m = {self.m}{integrators}{', delay' if self.delay else ''}"
+        text = f"n = {self.n}, m = {self.m}"
+        if self.integrators:
+            text += f", {counted(self.integrators, 'integrator')}"
+        return f"{text}, delay" if self.delay else text
 
 
 class LinearFit(NamedTuple):
-    """BIC and coefficients at the best delay."""
+    """BIC of a structure by linear least squares, and its coefficients at the best delay."""
 
     bic: float
     start: Values
+
+
+class _LeastSquares(NamedTuple):
+    """The weighted sum of squared errors of a structure, and its coefficients."""
+
+    squares: float
+    values: Values
 
 
 def linear_fits(
@@ -92,20 +122,23 @@ def linear_fits(
     plant = replace(
         longest, response=longest.response / gain, variance=variance, common_errors=None
     )
-    fits = {orders: _linear_fit(plant, orders) for orders in grid}
+    least_squares = {orders: _linear_fit(plant, orders) for orders in grid}
     # Errors beyond the given variances count as in `select`.
-    inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
-    return {
-        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), start)
-        for orders, (squares, start) in fits.items()
-    }
+    least = min(solution.squares for solution in least_squares.values())
+    inflation = max(1.0, least / len(plant))
+    fits = {}
+    for orders, solution in least_squares.items():
+        bic = 2 * solution.squares / inflation + orders.parameters * math.log(numbers)
+        fits[orders] = LinearFit(bic, solution.values)
+    return fits
 
 
 def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArray:
     """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
-    orders = min(fits, key=lambda o: fits[o].bic)
+    orders = min(fits, key=lambda orders: fits[orders].bic)
     values = fits[orders].start
-    return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
+    numerator, denominator = _polynomials(orders, values)
+    return ratio(numerator, denominator, omega) * np.exp(-1j * omega * values["T_delay"])
 
 
 def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
@@ -159,32 +192,23 @@ def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
     linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
     names = chain.from_iterable(fit.start for fit in linear.values())
     require_known(chain.from_iterable(stated.values()), names, "parameter", "the grid")
-    least = min(fit.bic for fit in linear.values())
-    # Only structures near the least BIC are fitted again, and of one size the best two: for random
-    # vehicles, linear least squares come within 1 of the least chi-square
-    # (`benchmarks/random_vehicles.py`).
-    near = [
-        orders
-        for orders, (bic, _) in linear.items()
-        if bic - least <= 10.0
-        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters) < 2
-    ]
-
-    candidates, undelayed = [], []
+    near = _near_the_best(linear)
+    candidates = []
+    undelayed = []
     for orders in near:
         start = linear[orders].start
         candidate = _candidate(responses, orders, start, through, stated)
         candidates.append(candidate)
-        late = candidate.fit.by_name.get("T_delay")
-        if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
-            without = replace(orders, delay=False)
-            candidates[-1] = _candidate(responses, without, start, through, stated)
-            undelayed.append(str(without))
+        if _delay_ended_at_zero(candidate.fit):
+            without_delay = replace(orders, delay=False)
+            candidates[-1] = _candidate(responses, without_delay, start, through, stated)
+            undelayed.append(str(without_delay))
         # A stable plant with less delay may be another minimum, which `select` prefers unless it
         # is much higher; sometimes it is much lower.
         if candidate.unstable and (start := _stable_start(orders, candidate.fit.estimate)):
             stable = _candidate(responses, orders, start, through, stated)
-            candidates += [] if stable.unstable else [stable]
+            if not stable.unstable:
+                candidates.append(stable)
     rejected = len(linear) - len(near)
     notes = []
     if rejected:
@@ -200,9 +224,29 @@ def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
             f"The delay ended at zero and was left out of: {'; '.join(undelayed)}. Their errors "
             "are those of a plant without a delay."
         )
-    # In order of size, as the table is read.
+    # The table lists the candidates in the order of their sizes.
     candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
     return _confirmed(select(candidates, "\n".join(notes)), Sobol(starts, seed))
+
+
+def _near_the_best(linear: Mapping[Orders, LinearFit]) -> list[Orders]:
+    """Return the structures near the least BIC, and of one size only the best ones."""
+    least = min(linear_fit.bic for linear_fit in linear.values())
+    near = []
+    for orders, (bic, _) in linear.items():
+        better = 0
+        for other, (other_bic, _) in linear.items():
+            if other.parameters == orders.parameters and other_bic < bic:
+                better += 1
+        if bic - least <= NEAR and better < BEST_OF_SIZE:
+            near.append(orders)
+    return near
+
+
+def _delay_ended_at_zero(fit: Fit) -> bool:
+    """Return whether the delay of a fit ended at its lower bound."""
+    delay = fit.by_name.get("T_delay")
+    return delay is not None and delay.at_bound and delay.value < 0.5 * delay.bounds[1]
 
 
 def _confirmed(selection: Selection, others: Sobol) -> Selection:
@@ -233,71 +277,73 @@ def orders_of(
     delay: bool = True,
 ) -> list[Orders]:
     """Return the structures of a grid; see `select_orders`."""
-    return [
-        Orders(order, zeros, count, delay)
-        for count in integrators or range(INTEGRATORS + 1)
-        for order in n or range(max(count, 1), count + POLES + 1)
-        for zeros in m or range(ZEROS + 1)
-        if zeros < order and count <= order
-    ]
+    structures = []
+    for count in integrators or range(INTEGRATORS + 1):
+        for order in n or range(max(count, 1), count + POLES + 1):
+            for zeros in m or range(ZEROS + 1):
+                # The plant is strictly proper.
+                if zeros < order and count <= order:
+                    structures.append(Orders(order, zeros, count, delay))
+    return structures
 
 
 def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[float]]:
     """Return numerator and denominator, the highest power first."""
     numerator = [values[f"b{k}"] for k in range(orders.m, -1, -1)]
-    return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+    denominator = [values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1)]
+    return numerator, [1.0, *denominator]
 
 
-def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]:
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> _LeastSquares:
     """Return the least weighted squares over the delay, and the coefficients there."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (slow to import)
 
-    def at(delay: float) -> tuple[float, Values]:
-        return _at_delays(data, orders, np.array([delay]))[0]
+    def at(delay: float) -> _LeastSquares:
+        [fit] = _at_delays(data, orders, np.array([delay]))
+        return fit
 
     if not orders.delay:
         return at(0.0)
-    turn = TURN / float(data.omega.max())
-    longest = turn
+    first_longest = TURN / float(data.omega.max())
+    longest = first_longest
     while True:
         grid = np.linspace(0.0, longest, DELAYS)
-        best = np.argmin([squares for squares, _ in _at_delays(data, orders, grid)])
-        if best < DELAYS - 1 or longest > 8 * turn:
+        best = np.argmin([fit.squares for fit in _at_delays(data, orders, grid)])
+        if best < DELAYS - 1 or longest > LONGEST * first_longest:
             break
         longest *= 2
 
-    around = grid[max(best - 1, 0) : best + 2]
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (slow to import)
-
+    neighbors = grid[max(best - 1, 0) : best + 2]
     refined = minimize_scalar(
-        lambda delay: at(delay)[0],
-        bounds=(around[0], around[-1]),
+        lambda delay: at(delay).squares,
+        bounds=(neighbors[0], neighbors[-1]),
         method="bounded",
         options={"maxiter": 20},
     )
     return at(refined.x)
 
 
-def _at_delays(
-    data: FrequencyResponse, orders: Orders, delays: Array
-) -> list[tuple[float, Values]]:
-    """Return the weighted sums of squares and the coefficients for every delay."""
+def _at_delays(data: FrequencyResponse, orders: Orders, delays: Array) -> list[_LeastSquares]:
+    """Return the least squares for every delay."""
     # Without variances, errors are taken as relative, as `RelativeLikelihood` takes them.
     size = np.abs(data.response) if data.variance is None else np.sqrt(data.variance)
-    unknowns = orders.parameters - orders.delay
+    unknowns = orders.parameters - (1 if orders.delay else 0)
     if 2 * len(data) <= unknowns or not np.all(size > 0):
-        return [(math.inf, {})] * len(delays)
+        return [_LeastSquares(math.inf, {})] * len(delays)
 
-    response = data.response * np.exp(1j * data.omega * delays[:, None])
-    weight = np.broadcast_to(1 / size, response.shape)
+    # The response without each delay, (delays, n).
+    undelayed = data.response * np.exp(1j * data.omega * delays[:, None])
+    weight = np.broadcast_to(1 / size, undelayed.shape)
     structure = (orders.n, orders.m, orders.integrators)
-    # The coefficients of Sanathanan and Koerner converge in eight iterations.
-    fractions = zip(*reweighted(data.omega, response, structure, weight, 8), strict=True)
+    numerators, denominators, *_ = reweighted(data.omega, undelayed, structure, weight, ITERATIONS)
     fits = []
-    for fraction, turned, delay in zip(fractions, response, delays, strict=True):
-        error = (ratio(*fraction[:2], data.omega) - turned) / size
-        lag = {"T_delay": float(delay)} if orders.delay else {}
-        values = {**coefficients(*fraction[:2], orders.integrators), **lag}
-        fits.append((sum_of_squares(error), values))
+    for k, delay in enumerate(delays):
+        numerator, denominator = numerators[k], denominators[k]
+        error = (ratio(numerator, denominator, data.omega) - undelayed[k]) / size
+        values = dict(coefficients(numerator, denominator, orders.integrators))
+        if orders.delay:
+            values["T_delay"] = float(delay)
+        fits.append(_LeastSquares(sum_of_squares(error), values))
     return fits
 
 
@@ -327,14 +373,19 @@ def _candidate(
     bounds = {}
     for name, parameter in plant.parameters.items():
         if name != "T_delay":
-            # The model's bounds hold for a gain of one.
-            size = parameter.bounds[1] * (10 * gain if name.startswith("b") else 1)
+            _, size = parameter.bounds
+            # The model's bounds of the numerator are for a gain of one.
+            if name.startswith("b"):
+                size *= 10 * gain
             size = max(size, 100 * abs(start[name]))
             bounds[name] = (-size, size)
     fixed = options.get("fixed", {})
     point = {name: start[name] for name in plant.parameters if name not in fixed}
+    model = plant
+    for other in through:
+        model = model.through(other)
     result = fit_within_far_bounds(
-        reduce(lambda model, other: model.through(other), through, plant),
+        model,
         responses,
         point | options.get("start", {}),
         bounds=bounds,
@@ -350,12 +401,12 @@ def _stable_start(orders: Orders, values: Values) -> Values:
     """
     numerator, denominator = _polynomials(orders, values)
     poles = np.roots(denominator)
-    unstable = poles.real > 0
-    delay = values.get("T_delay", 0.0) - 2 * float(np.sum(1 / poles[unstable]).real)
-    poles[unstable] *= -1
-    mirrored = coefficients(
-        (-1.0) ** np.sum(unstable) * np.array(numerator), np.poly(poles).real, orders.integrators
-    )
+    is_unstable = poles.real > 0
+    delay = values.get("T_delay", 0.0) - 2 * float(np.sum(1 / poles[is_unstable]).real)
+    poles[is_unstable] *= -1
+    # Each mirrored pole changes the sign.
+    sign = (-1.0) ** np.sum(is_unstable)
+    mirrored = coefficients(sign * np.array(numerator), np.poly(poles).real, orders.integrators)
     return {**mirrored, "T_delay": delay} if delay > 0 else {}
 
 
@@ -363,7 +414,8 @@ def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()
-    form = Rational(*_polynomials(orders, fit.estimate), fit.estimate.get("T_delay", 0.0))
+    numerator, denominator = _polynomials(orders, fit.estimate)
+    form = Rational(numerator, denominator, fit.estimate.get("T_delay", 0.0))
     unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(form.poles) if p.real > 0]
-    pairs = map(str, near_pairs(form.zeros, form.poles))
+    pairs = [str(pair) for pair in near_pairs(form.zeros, form.poles)]
     return str(form), (*unstable, *pairs, *held_by_bounds(fit))

@@ -21,15 +21,20 @@ NO_FIT = (
     "vehicle (band=...), or state the structures."
 )
 
-# A structure does not explain the data if its residuals exceed the noise by the first factor and
-# what is not noise exceeds the second share of the response. Residuals of adequate models scatter
-# about 1, of few points up to 1.5; a model within 5 % of the response is useful whatever the noise.
+# A structure does not explain the data if its residuals exceed the noise by the first factor of a
+# pair, and the part that is not noise exceeds the second share of the response. Residuals of
+# adequate models scatter about 1, of few points up to 1.5; a model within 5 % of the response is
+# useful whatever the noise.
 LIMITS = ((3.0, 0.05), (1.5, 0.3))
+# Share of the response that the residuals may have if the noise is unknown.
+LIMIT_WITHOUT_NOISE = 0.3
 
-
-# An unstable pole needs strong evidence (Kass and Raftery 1995): beside a zero, it
-# imitates noise, and few vehicles have one.
+# The beginning of a remark on an unstable pole.
 UNSTABLE = "unstable pole"
+# Difference of BIC by which a structure with an unstable pole must be better: beside a zero, such a
+# pole imitates noise, and few vehicles have one. A difference of 6 is strong evidence (Kass and
+# Raftery 1995).
+PENALTY_OF_UNSTABLE = 6.0
 
 
 @frozen
@@ -59,13 +64,13 @@ class Candidate:
         if not self.fit.converged or any(variance is None for variance in variances):
             return math.nan
         # A variance is E|P̂ - P|² of both components, so that one complex residual counts once.
-        squares = np.concatenate(
-            [
-                np.abs(part.data.response - part.response) ** 2 / part.data.variance
-                for part in self.fit.responses
-            ]
-        )
-        return math.sqrt(float(squares.sum()) / max(squares.size - len(self.fit.free) / 2, 0.5))
+        squares_of_parts = []
+        for part in self.fit.responses:
+            residual = part.data.response - part.response
+            squares_of_parts.append(np.abs(residual) ** 2 / part.data.variance)
+        squares = np.concatenate(squares_of_parts)
+        dof = squares.size - len(self.fit.free) / 2
+        return math.sqrt(float(squares.sum()) / max(dof, 0.5))
 
     @property
     def unstable(self) -> bool:
@@ -81,8 +86,8 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the structure explains the data, given the noise."""
         if math.isnan(self.noise):
-            return self.misfit <= 0.3  # the second share, as the noise is unknown
-        # The misfit less the noise: small where the noise explains it.
+            return self.misfit <= LIMIT_WITHOUT_NOISE
+        # The part of the misfit that the noise does not explain.
         beyond_noise = self.misfit * math.sqrt(max(0.0, 1 - 1 / self.noise**2))
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 
@@ -95,10 +100,12 @@ class Selection:
     ----------
     candidates : tuple of Candidate
     chosen : Candidate or None
-        The one with the fewest parameters of those whose BIC is within 2 of the least; None where
-        no structure has a fit.
+        The candidate with the fewest parameters among those whose BIC is within 2 of the least;
+        None where no structure has a fit.
     bic : tuple of float
         BIC of every candidate; NaN without a fit.
+    reason : str
+        Why this candidate is chosen, in a sentence.
     note : str
         Structures that were not fitted, in words.
     """
@@ -112,10 +119,12 @@ class Selection:
     @property
     def fit(self) -> Fit | None:
         """The fit of the chosen structure; it warns if the structure does not explain the data."""
-        if self.chosen is None or self.explains:
-            return self.chosen and self.chosen.fit
+        if self.chosen is None:
+            return None
         fit = self.chosen.fit
-        # The warning goes with the fit, as it is saved and reported without this selection.
+        if self.explains:
+            return fit
+        # The fit has the warning, since it is saved and reported without this selection.
         text = "the structure does not explain the data: do not use its parameters."
         return replace(fit, warnings=(text, *fit.warnings))
 
@@ -145,22 +154,26 @@ class Selection:
 
     def __str__(self) -> str:
         least = min((value for value in self.bic if not math.isnan(value)), default=math.nan)
-        rows = [
-            [
-                str(k),
-                c.label,
-                str(len(c.fit.free)),
-                number(c.fit.cost, 4) if c.fit.converged else "no fit",
-                number(round(value - least, 2), 4),
-                number(c.noise, 3),
-                "; ".join(c.remarks) or c.about,
-                "<- chosen" if c is self.chosen else "",
-            ]
-            for k, (c, value) in enumerate(zip(self.candidates, self.bic, strict=True), 1)
-        ]
+        rows = []
+        for k, candidate in enumerate(self.candidates):
+            fit = candidate.fit
+            rows.append(
+                [
+                    str(k + 1),
+                    candidate.label,
+                    str(len(fit.free)),
+                    number(fit.cost, 4) if fit.converged else "no fit",
+                    number(round(self.bic[k] - least, 2), 4),
+                    number(candidate.noise, 3),
+                    "; ".join(candidate.remarks) or candidate.about,
+                    "<- chosen" if candidate is self.chosen else "",
+                ]
+            )
         header = ["", "structure", "free", "cost", "BIC above", "residual/noise", "remark", ""]
-        table = text_table(header, rows, left=(1, 6, 7))
-        return "\n".join([table, *([self.note] if self.note else []), "", self.verdict])
+        lines = [text_table(header, rows, left=(1, 6, 7))]
+        if self.note:
+            lines.append(self.note)
+        return "\n".join([*lines, "", self.verdict])
 
 
 def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
@@ -178,12 +191,15 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     # likelihoods is estimated.
     inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
     numbers = sum(part.compared_numbers for part in fitted[0].fit.parts)
-    bic = [
-        2 * c.fit.cost / inflation + count_unknowns(c.fit) * math.log(numbers) + 6.0 * c.unstable
-        if c.fit.converged
-        else math.nan
-        for c in candidates
-    ]
+    bic = []
+    for candidate in candidates:
+        if not candidate.fit.converged:
+            bic.append(math.nan)
+            continue
+        penalty = PENALTY_OF_UNSTABLE if candidate.unstable else 0.0
+        unknowns = count_unknowns(candidate.fit)
+        value = 2 * candidate.fit.cost / inflation + unknowns * math.log(numbers) + penalty
+        bic.append(value)
     finite = [value for value in bic if not math.isnan(value)]
     k, reason = parsimony([c.label for c in fitted], finite, [len(c.fit.free) for c in fitted])
     return Selection(tuple(candidates), fitted[k], tuple(bic), reason, note)
@@ -192,4 +208,6 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
 def held_by_bounds(fit: Fit) -> tuple[str, ...]:
     """Return the remark that parameters ended at a bound."""
     names = fit.at_bound
-    return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",) if names else ()
+    if not names:
+        return ()
+    return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",)

@@ -33,9 +33,17 @@ NEGLIGIBLE = 1e-3
 
 @frozen
 class SystematicError:
-    """One error: its cause, its standard deviation relative to the response (n,), and a finding.
+    """An error of a response.
 
-    `common` (m, n) is the error itself, relative to the response, if all points have it in common.
+    Attributes
+    ----------
+    about : str
+        Its cause.
+    relative : (n,) array
+        Its standard deviation relative to the response.
+    finding : Finding
+    common : (m, n) complex array or None
+        The error itself, relative to the response, if all points have it in common.
     """
 
     about: str
@@ -75,14 +83,16 @@ def systematic_errors(
         return []
     spans = [(s.start, s.end) for s in used] or [record.span]
     errors = [
-        _thinned(recording, response, control, axis, spans),
-        _rounded(recording, record, response, used, spans, amplitudes),
+        _error_of_thinning(recording, response, control, axis, spans),
+        _error_of_rounding(recording, record, response, used, spans, amplitudes),
     ]
-    return [
-        error
-        for error in errors
-        if error and (error.relative.max() > NEGLIGIBLE or error.finding.severity == "warning")
-    ]
+    noticeable = []
+    for error in errors:
+        if error is None:
+            continue
+        if error.relative.max() > NEGLIGIBLE or error.finding.severity == "warning":
+            noticeable.append(error)
+    return noticeable
 
 
 def truncation_error(
@@ -150,10 +160,12 @@ def with_systematic_errors(
     added = np.sum([error.relative**2 for error in errors], axis=0) * np.abs(response.response) ** 2
     total = response.variance + added
     dof = None if response.dof is None else response.dof * (total / response.variance) ** 2
-    about = {
-        error.about: _size(error.relative) + " of the response, in its variance" for error in errors
-    }
-    common = [error.common * response.response for error in errors if error.common is not None]
+    about = {}
+    common = []
+    for error in errors:
+        about[error.about] = f"{_size(error.relative)} of the response, in its variance"
+        if error.common is not None:
+            common.append(error.common * response.response)
     return replace(
         response,
         variance=total,
@@ -175,13 +187,14 @@ def motor_saturation(
     return [*graded("motors", share, SATURATED, text)]
 
 
-def _thinned(
+def _error_of_thinning(
     recording: Recording,
     response: FrequencyResponse,
     control: str,
     axis: str,
     spans: Sequence[Interval],
 ) -> SystematicError | None:
+    """Return the error of a log that has only some of the passes of a loop; None if it has all."""
     # The rate of a log may change between flights: only that during the tests counts.
     begin = min(start for start, _ in spans)
     end = max(end for _, end in spans)
@@ -210,7 +223,7 @@ def _thinned(
     )
 
 
-def _rounded(
+def _error_of_rounding(
     recording: Recording,
     record: Record,
     response: FrequencyResponse,
@@ -218,47 +231,56 @@ def _rounded(
     spans: Sequence[Interval],
     amplitudes: Array | None,
 ) -> SystematicError | None:
+    """Return the error of motor outputs in whole steps of PWM; None if these are not known."""
     steps = pwm_of_control(recording.parameters)
     if math.isnan(steps):
         return None
-    pieces = [record.between(*span)[response.input] for span in spans]
-    # Rounding acts like noise where other motion carries a motor over several steps, and distorts
-    # the control where the motor stands still otherwise.
-    motion = np.array(
-        [_motion(recording, steps, *pair) for pair in zip(pieces, spans, strict=True)]
-    )
+    controls = [record.between(*span)[response.input] for span in spans]
+    # Rounding acts like noise where other motion moves a motor over several steps. Where the motor
+    # would otherwise stand still, it distorts the control.
+    motions = []
+    for control, span in zip(controls, spans, strict=True):
+        motions.append(_motion(recording, steps, control, span))
+    # Amplitudes of the control, and standard deviations of the motion, in steps at each frequency.
     if amplitudes is None:
         # The loudest piece has most of the weight in the estimate.
-        a = np.full(
-            len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces)
-        )
-        moved = np.full(len(response), motion.min())
+        loudest = max(float(np.std(values)) for values in controls)
+        amplitude = np.full(len(response), steps * np.sqrt(2) * loudest)
+        motion = np.full(len(response), min(motions))
     else:
-        a = steps * amplitudes
-        moved = motion[
-            [np.argmin([abs(s.omega - omega) for s in used]) for omega in response.omega]
+        amplitude = steps * amplitudes
+        test_of_point = [
+            np.argmin([abs(segment.omega - omega) for segment in used]) for omega in response.omega
         ]
-    # The sine itself is part of the motion, and is taken out of it: a²/2 is its variance.
-    relative = rounding_error(a, real_root(moved**2 - a**2 / 2))
-    # Below one step, the error is no longer small noise: the finding leaves these points out.
-    below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
+        motion = np.array(motions)[test_of_point]
+    # The sine itself is part of the motion. Its variance, a²/2, is subtracted.
+    relative = rounding_error(amplitude, real_root(motion**2 - amplitude**2 / 2))
+    # Below one step, the error is no longer small noise: the finding names these points.
+    below = response.omega[(amplitude < 1.0) & (relative > NEGLIGIBLE)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
     if below.size:
         text += f", as the control is below one step at {frequencies(below)}; excite more there"
     severity = "warning" if below.size else "note"
-    finding = Finding("resolution", severity, float(a.min()), f"{text}.", tuple(below.tolist()))
+    smallest = float(amplitude.min())
+    finding = Finding("resolution", severity, smallest, f"{text}.", tuple(below.tolist()))
     return SystematicError("rounded outputs", relative, finding)
 
 
 def _motion(recording: Recording, steps: float, control: Array, span: Interval) -> float:
-    """Return the standard deviation of the quietest motor in steps, at least by the control."""
+    """Return the standard deviation of the quietest motor in steps, at least that of the control.
+
+    If the log has no motor outputs, it is that of the control.
+    """
     by_control = steps * float(np.std(control))
-    logged = motor_outputs(recording, *span).values()
-    return max(by_control, min((float(np.std(values)) for values in logged), default=0.0))
+    start, end = span
+    deviations = [float(np.std(values)) for values in motor_outputs(recording, start, end).values()]
+    return max(by_control, min(deviations, default=0.0))
 
 
 def _size(relative: Array) -> str:
-    low, high = 100 * float(relative.min()), 100 * float(relative.max())
+    """Return the range of relative errors in percent, as text."""
+    low = 100 * float(relative.min())
+    high = 100 * float(relative.max())
     if low < 0.1 * high:
         return f"up to {high:.2g} %"
     return f"{high:.2g} %" if high < 1.1 * low else f"{low:.2g} to {high:.2g} %"

@@ -31,6 +31,7 @@ from greybox.workflows.identification.identify import filter_model
 from greybox.workflows.study.catalog import find_model, find_problem, shipped
 from greybox.workflows.study.data_file import read_data
 
+# Options for reading data files.
 OF_FILES = ("input", "output", "columns", "rate", "gaps", "prepare")
 # Options with values by name of a parameter, and the fields of a problem that they change.
 OF_PARAMETERS = {
@@ -40,16 +41,18 @@ OF_PARAMETERS = {
     "starts_box": "starts",
     "prior": "prior",
 }
+# Options that go with a model, not with a problem, which has its data.
 OF_DATA = ("data", "through", "at", *OF_FILES)
 METHODS = {
     "multiple-shooting": MultipleShooting,
     "single-shooting": SingleShooting,
     "collocation": Collocation,
 }
-FILTER_NAMES = ("-filter", "-notch")  # ends of the names of filters in responses
-CRITERIA_BY_NAME: dict[str, Any] = {
-    criterion.name: criterion for kind in DATA_KINDS for criterion in kind.criteria
-}
+# Ends of the names of filters in responses.
+FILTER_NAMES = ("-filter", "-notch")
+CRITERIA_BY_NAME: dict[str, Any] = {}
+for data_kind in DATA_KINDS:
+    CRITERIA_BY_NAME |= {criterion.name: criterion for criterion in data_kind.criteria}
 
 
 def stated_problem(
@@ -102,6 +105,7 @@ def stated_problem(
 
 
 def _method(method: Any) -> Any:
+    """Return a transcription, or the one of a name."""
     if not isinstance(method, str):
         return method
     require_known([method], METHODS, "method", "greybox")
@@ -109,14 +113,17 @@ def _method(method: Any) -> Any:
 
 
 def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> AnyProblem:
+    """Return the problem of the options `model`, `data` and those that go with them."""
     if "data" not in options:
         raise ValueError("model=... needs data=..., a frequency response or a record.")
     model = options["model"]
     model = find_model(model) if isinstance(model, str) else model
-    choices = selected(options, OF_FILES)
-    given = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
-    # A file may have the responses of several pairs.
-    data = [item for x in given for item in responses_in(x) or (x,)]
+    file_options = selected(options, OF_FILES)
+    data: list[Any] = []
+    for item in options["data"]:
+        values = read(item, model, **file_options) if isinstance(item, str | Path) else item
+        # A file may have the responses of several pairs.
+        data += responses_in(values) or (values,)
     # All responses of one plant have passed the filters that the first one names.
     for word in options.get("through", ()):
         for known_filter in filters_of(word, data[0]):
@@ -138,14 +145,12 @@ def in_band(problem: AnyProblem, band: Any) -> AnyProblem:
     if band is None:
         return problem
     low, high = band
-
-    def within(part: Problem) -> Problem:
-        data = part.data
-        if not isinstance(data, FrequencyResponse):
+    parts = []
+    for part in problem.parts:
+        if not isinstance(part.data, FrequencyResponse):
             raise ValueError(f"band=... is for frequency responses, and {part.name} is not one.")
-        return part.with_(data=data.between(low, high))
-
-    return problem.with_parts([within(part) for part in problem.parts])
+        parts.append(part.with_(data=part.data.between(low, high)))
+    return problem.with_parts(parts)
 
 
 def filters_of(
@@ -201,24 +206,28 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
         return problem.with_(criterion=name)
     require_known([name], CRITERIA_BY_NAME, "criterion", "greybox")
     criterion = CRITERIA_BY_NAME[name]
-    served = [kind for kind in DATA_KINDS if criterion in kind.criteria]
+    kinds = [kind for kind in DATA_KINDS if criterion in kind.criteria]
     usable = unique(usual.name for part in problem.parts for usual in part.kind.criteria)
     if name not in usable:
         raise ValueError(
-            f"criterion={name} is for {' and '.join(kind.plural for kind in served)} and "
+            f"criterion={name} is for {' and '.join(kind.plural for kind in kinds)} and "
             f"{problem.name} has none: use one of {', '.join(usable)}, or leave it out."
         )
 
-    return problem.with_parts(
-        [
-            part.with_(criterion=_like(criterion, part.criterion)) if part.kind in served else part
-            for part in problem.parts
-        ]
-    )
+    parts = []
+    for part in problem.parts:
+        if part.kind in kinds:
+            settings = _with_settings_of(criterion, part.criterion)
+            parts.append(part.with_(criterion=settings))
+        else:
+            parts.append(part)
+    return problem.with_parts(parts)
 
 
-def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | TimeCriterion:
-    """Return a criterion with the settings that all criteria for records have."""
+def _with_settings_of(
+    criterion: Criterion | TimeCriterion, previous: Any
+) -> Criterion | TimeCriterion:
+    """Return a criterion with those settings of the previous one that all criteria have."""
     # Biases, noise and known initial states describe the data, whatever the criterion.
     if not (isinstance(criterion, TimeCriterion) and isinstance(previous, TimeCriterion)):
         return criterion
@@ -233,11 +242,12 @@ def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> A
         values = options.get(name, {})
         if not isinstance(values, Mapping):
             raise ValueError(f"{name}={values!r:.40} is not understood: give values by name.")
-        # An interval is a list of two numbers in TOML.
-        pairs = values.items()
-        changes[field] = {n: tuple(x) if isinstance(x, list) else x for n, x in pairs}
+        changes[field] = {}
+        for parameter, value in values.items():
+            # An interval is a list of two numbers in TOML.
+            changes[field][parameter] = tuple(value) if isinstance(value, list) else value
     changes["free"] = dict.fromkeys(options.get("free", ()))
-    # Checked against the whole problem: every part has only some of the parameters.
+    # The names are those of the whole problem: every part has only some of the parameters.
     for names in changes.values():
         require_known(names, problem.parameters, "parameter", problem.name)
 
@@ -250,10 +260,9 @@ def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Proble
     """Return a part with the changes of its parameters, which it may name differently."""
     # Options use the names of the answer. A tied parameter has no value of its own to change.
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}
-    changed = {
-        what: {inside[name]: value for name, value in values.items() if name in inside}
-        for what, values in changes.items()
-    }
+    changed: dict[str, dict[str, Any]] = {}
+    for field, values in changes.items():
+        changed[field] = {inside[name]: value for name, value in values.items() if name in inside}
     if changed["prior"] and not isinstance(part.prior, Mapping):
         raise ValueError(
             f"prior=... is for single parameters, and the prior of {part.name} is an earlier fit: "
@@ -263,12 +272,12 @@ def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Proble
     # A parameter is either fixed or free: each option undoes what the problem says.
     fixed = without(part.fixed_values, changed["free"])
     free = [name for name in part.free if name not in changed["fixed"]]
+    others = {}
+    for field in ("bounds", "start", "starts", "prior"):
+        if changed[field]:
+            others[field] = {**getattr(part, field), **changed[field]}
     return part.with_(
         fixed={**fixed, **changed["fixed"]},
         free=unique([*free, *changed["free"]]),
-        **{
-            what: {**getattr(part, what), **changed[what]}
-            for what in ("bounds", "start", "starts", "prior")
-            if changed[what]
-        },
+        **others,
     )

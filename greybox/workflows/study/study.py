@@ -10,7 +10,6 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +31,26 @@ from greybox.workflows.study.latex import latex_number, latex_symbol, latex_tabl
 from greybox.workflows.study.members import FACTORS, Status, StudyMember, read_members
 from greybox.workflows.study.ranking import Result, ranking
 
-FAILURES = ("failed", "members", "reason and cure")  # columns of the table of failures
-# Fits of a structure that are alike in these can be compared by their costs.
-ALIKE = ("data", "checksum", "criterion", "bounds")
+# Columns of the table of failures.
+FAILURES = ("failed", "members", "reason and cure")
+# Fits of a structure that agree in these fields can be compared by their costs.
+COMPARABLE = ("data", "checksum", "criterion", "bounds")
 # Columns of the table of members.
 OVERVIEW = (
-    *("member", "explains", "status", "criterion", "delay", "starts"),
-    *("converged", "agreeing", "minima", "cost", "warnings"),
+    "member",
+    "explains",
+    "status",
+    "criterion",
+    "delay",
+    "starts",
+    "converged",
+    "agreeing",
+    "minima",
+    "cost",
+    "warnings",
 )
+# Last members from which the time that the others take is estimated.
+RECENT = 20
 
 
 @frozen
@@ -164,26 +175,34 @@ class Study(Printed):
         by = by or (self.structures,)
         for factor in by:
             self._values(factor)
+        structures = self._structure_names(by)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
-        words = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
-        for place, member in enumerate(self.done):
-            combination = ": ".join(filter(None, (texts[place] for texts in words)))
-            key = (combination, *(str(member.answer.get(name)) for name in ALIKE))
-            if _cost(member) <= _cost(best.get(key, member)):
+        for structure, member in zip(structures, self.done, strict=True):
+            key = (structure, *(str(member.answer.get(name)) for name in COMPARABLE))
+            if structure and _cost(member) <= _cost(best.get(key, member)):
                 best[key] = member
-        named = [(name, m.factors["data"], m) for (name, *_), m in best.items() if name]
+        named = [(structure, member) for (structure, *_), member in best.items()]
 
         def fits() -> Iterator[Result]:
             # A fit is read when its turn comes: those of a large study do not fit into memory.
-            for results in grouped(named, itemgetter(1)):
-                for name, data, member in results:
+            for of_data in grouped(named, lambda item: item[1].factors["data"]):
+                for structure, member in of_data:
                     fit = member.fit
                     if fit:
-                        yield name, data, fit, member.answer.get("held_out")
+                        data = member.factors["data"]
+                        yield structure, data, fit, member.answer.get("held_out")
 
         return ranking(fits())
+
+    def _structure_names(self, by: Sequence[str]) -> list[str]:
+        """Return a name for each of the `done` members, from the factors in which they differ."""
+        columns = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
+        names = []
+        for texts in zip(*columns, strict=True):
+            names.append(": ".join(text for text in texts if text))
+        return names
 
     @property
     def failures(self) -> str:
@@ -193,12 +212,13 @@ class Study(Printed):
     @property
     def failed(self) -> list[list[str]]:
         """The rows of `failures`: how many members, their names, the reason and cure."""
-        # Reasons that differ only in their numbers are one, with those of the first member.
         failed = [member for member in self.members if member.status == "failed"]
-        return [
-            [str(len(members)), some([member.name for member in members]), members[0].reason]
-            for members in grouped(failed, lambda member: re.sub(r"[-\d.]+", "", member.reason))
-        ]
+        rows = []
+        # Reasons that differ only in their numbers are one row, with those of the first member.
+        for members in grouped(failed, lambda member: re.sub(r"[-\d.]+", "", member.reason)):
+            names = some([member.name for member in members])
+            rows.append([str(len(members)), names, members[0].reason])
+        return rows
 
     def __repr__(self) -> str:
         return one_line(self, str(self.folder), self.state)
@@ -241,8 +261,8 @@ def _cost(member: StudyMember) -> float:
 
 def progress(study: Study) -> str:
     """Return how far a study is: the counts, the time left, and the failures so far."""
-    times = (float(member.answer.get("finished", 0.0)) for member in study.members)
-    ends = sorted(filter(None, times))[-20:]
+    times = [float(member.answer.get("finished", 0.0)) for member in study.members]
+    ends = sorted(end for end in times if end)[-RECENT:]
     unfinished = study.count("unfinished")
     lines = [study.state]
     if unfinished and len(ends) > 2:
@@ -256,6 +276,7 @@ def progress(study: Study) -> str:
 
 
 def _overview(members: Sequence[StudyMember]) -> str:
+    """Return the table of members."""
     rows = []
     for member in members:
         row = next(_rows(member))
@@ -265,6 +286,7 @@ def _overview(members: Sequence[StudyMember]) -> str:
 
 
 def _rows(member: StudyMember) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a member in the long table: one for each quantity, at least one."""
     answer = member.answer
     is_done = member.status == "done"
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
@@ -281,8 +303,11 @@ def _rows(member: StudyMember) -> Iterator[dict[str, Any]]:
     }
 
     values = {**answer.get("derived", {}), **answer.get("estimate", {})}
-    intervals, units = answer.get("interval", {}), answer.get("unit", {})
-    for name, error in (answer["standard_error"] if is_done else {"": None}).items():
+    intervals = answer.get("interval", {})
+    units = answer.get("unit", {})
+    # A member without an estimate has one row without a parameter.
+    errors = answer["standard_error"] if is_done else {"": None}
+    for name, error in errors.items():
         low, high = intervals.get(name, (None, None))
         row = {"parameter": name, "value": values.get(name), "standard_error": error}
         yield {**common, **row, "low": low, "high": high, "unit": units.get(name, "")}
@@ -299,6 +324,7 @@ def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:
 
 
 def _estimates(members: Sequence[StudyMember]) -> str:
+    """Return the table of estimates of members that have the same quantities."""
     header = ["member", *members[0].answer["standard_error"]]
     return text_table(header, [[m.name, *_cells(m, shown)] for m in members])
 
@@ -319,7 +345,7 @@ def _latex(members: Sequence[StudyMember]) -> str:
 
 
 def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
-    """Return the factors in which members differ, or names where these do not suffice."""
+    """Return the factors in which members differ; their names if the factors are not unique."""
     factors = [member.factors for member in members]
     names = unique(name for values in factors for name in values)
     varied = [name for name in names if len({values.get(name) for values in factors}) > 1]
@@ -331,11 +357,18 @@ def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
 
 def _differences(texts: Sequence[str]) -> list[str]:
     """Return texts without the values, such as ``a = 1``, that all of them have."""
-    words = [text.split(", ") for text in texts]
-    common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()
-    distinct = [[w for w in row if w not in common or " = " not in w] for row in words]
-    pairs = zip(texts, distinct, strict=True)
-    return [", ".join(row) or (text and "nothing else") for text, row in pairs]
+    values_of_texts = [text.split(", ") for text in texts]
+    common: set[str] = set()
+    if len({*texts}) > 1:
+        common = set.intersection(*map(set, values_of_texts))
+    differences = []
+    for text, values in zip(texts, values_of_texts, strict=True):
+        distinct = [value for value in values if value not in common or " = " not in value]
+        if distinct or not text:
+            differences.append(", ".join(distinct))
+        else:
+            differences.append("nothing else")
+    return differences
 
 
 def _cells(member: StudyMember, form: Callable[[float | None, float | None], str]) -> Iterator[str]:
@@ -348,6 +381,6 @@ def _cells(member: StudyMember, form: Callable[[float | None, float | None], str
 
 def shown(value: float | None, error: float | None) -> str:
     """Return a value with its standard error, if it has one."""
-    if value is None or not error:
-        return "-" if value is None else number(value)
-    return " ± ".join(with_error(value, error))
+    if value is None:
+        return "-"
+    return " ± ".join(with_error(value, error)) if error else number(value)
