@@ -99,7 +99,7 @@ def read(
         values = columns.get(unread[0].name)
         stands_still = values is not None and values.size > 1 and np.ptp(values) == 0
         fault = (
-            "in which time does not increase"
+            "which stands still"
             if stands_still
             else "which is not a time in numbers with a known unit"
         )
