@@ -9,6 +9,8 @@ from scipy.optimize import least_squares
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Lag(gb.StateSpace):
     """tau y' = K u - y."""
