@@ -10,6 +10,8 @@ from unfolded import unfolded
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Lag(gb.StateSpace):
     """tau y' = K u - y."""
