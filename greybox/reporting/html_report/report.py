@@ -54,7 +54,8 @@ def report(
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        None, ``[]``, for margins of a loop that was only measured. Several are shown side by side; of a study, the first twelve members in detail. For a fit
+        None, ``[]``, for margins of a loop that was only measured. Several are shown side by side;
+        of a study, the first twelve members in detail. For a fit
         that was loaded without its model the page shows the contents of the file, and says what it
         cannot draw.
     path : str or Path
@@ -74,7 +75,8 @@ def report(
     Raises
     ------
     TypeError, ValueError
-        For an object that is not a fit, for neither a fit nor margins, or for a path that does not end in ``.html``.
+        For an object that is not a fit, for neither a fit nor margins, or for a path that does
+        not end in ``.html``.
     OSError
         If the folder cannot be written.
 
