@@ -128,7 +128,7 @@ def segment_table(segments: Segments) -> str:
     # Findings are sentences, too long for a column.
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
     # The tests of one flight often have one axis and one source.
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    columns: dict[str, Sequence[str]] = dict(zip(header, zip(*rows, strict=True), strict=True))
     common = [name for name in ("axis", "source") if len({*columns[name]}) == 1 < len(rows)]
     if common:
         notes.append(f"all: {', '.join(f'{name} {columns[name][0]}' for name in common)}")
