@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from greybox.data.files.arrays import Array, BoolArray
+from greybox.data.files.arrays import Array, BoolArray, IntArray
 
 # Share of the height of a ramp by which it may bend. A sine that is cut at a fifth of its amplitude
 # bends by 1e-3 between the limits.
@@ -39,7 +39,7 @@ def at_limit(values: Array) -> BoolArray:
     return np.repeat(extreme & is_rest, lengths)
 
 
-def _is_ramped(starts: Array, levels: Array, lengths: Array, is_rest: BoolArray) -> bool:
+def _is_ramped(starts: IntArray, levels: Array, lengths: IntArray, is_rest: BoolArray) -> bool:
     """Return whether runs (r,) of equal values are steps with ramps, which rest by design.
 
     These move straight from one rest to another, and rest for longer. A cut signal turns between
