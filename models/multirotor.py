@@ -316,44 +316,29 @@ class Torques(gb.StateSpace):
 # --- the vehicle
 
 
-class Multirotor(gb.StateSpace):
-    r"""A multirotor from motor commands or rotor speeds to its sensors, (2.1) to (2.3) and (4.21).
+class Thrust(gb.StateSpace):
+    r"""Specific force along the rotor axes from the commands of all rotors, (4.21).
 
-    $$\begin{aligned} T_\Omega \dot w_k &= u_k(t - T_{delay}) - w_k, \quad
-    f_k = c_0 + c_1 w_k + c_2 w_k^2, \\
-    j \dot\omega + \omega \times j \omega &= \sum_k \left( r_k \times e_z f_k - d_k e_z (k_m f_k
-    + h \dot w_k) \right) + j \delta, \\
-    \dot v &= R \left( e_z \sum_k f_k - D(R^T v) \right) - g e_z \end{aligned}$$
+    $$T_\Omega \dot w_k = u_k(t - T_{delay}) - w_k, \quad f_k = c_0 + c_1 w_k + c_2 w_k^2,
+    \quad a_z = \sum_k f_k$$
 
-    The specific thrusts $f_k$ act at the places $r_k$ of the rotors, which turn in the directions
-    $d_k$; $D$ is `drag`, and $\delta$ an angular acceleration at rest, such as that of a center of
-    mass beside the middle of the rotors. Drag, the reaction to the acceleration of rotors $h$,
-    $\delta$ and the place of the accelerometer are fixed at zero until you free them.
+    For an accelerometer near the center of mass. The speeds $w_k$ are those at rest for the
+    commands.
 
-    The data determine $j_x$ and $j_y$, but only the ratios of $k_m$ and $h$ to $j_z = s_z (j_x +
-    j_y)$, so $s_z$ has to be stated. With the mass $m$, the derived quantities are absolute; at
-    1 kg they are per mass.
-
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.1) to (2.3) and
-    (4.21).
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21).
 
     Parameters
     ----------
     rotors : sequence of (x, y, direction), or int
         Places in m; direction 1 is counterclockwise, seen from above. A number is that of
         `regular_frame`.
-    attitude : "", "angles" or "quaternion"
-        How the attitude is described; "" leaves out attitude and velocity, so that without drag
-        the outputs are angular rates and specific force.
-    position : bool
-        Add the position.
     speeds : bool
         The inputs are measured rotor speeds Omega_k in krad/s, without a lag, instead of commands.
 
     Raises
     ------
     ValueError
-        For another attitude, fewer than two rotors, or a position without attitude.
+        For fewer than two rotors.
     """
 
     T_rotor = gb.Parameter(
@@ -371,70 +356,12 @@ class Multirotor(gb.StateSpace):
     c_2 = gb.Parameter(
         5.0, bounds=(0.01, 200), unit="m/s²", about="thrust per mass and squared speed"
     )
-    j_x = gb.Parameter(
-        1e-3, bounds=(1e-6, 1), unit="m²", about="inertia per mass about x", scale="log"
-    )
-    j_y = gb.Parameter(
-        1e-3, bounds=(1e-6, 1), unit="m²", about="inertia per mass about y", scale="log"
-    )
-    s_z = gb.Parameter(
-        0.93, bounds=(0.5, 1), unit="1", about="j_z over j_x + j_y, 1 for a plate", fixed=True
-    )
-    k_m = gb.Parameter(0.01, bounds=(-0.2, 0.2), unit="m", about="yaw moment per thrust")
-    h = gb.Parameter(
-        0.0,
-        bounds=(-0.01, 0.01),
-        unit="m²",
-        about="angular momentum of a rotor per mass and speed",
-        fixed=True,
-    )
-    delta_p, delta_q, delta_r = (
-        gb.Parameter(
-            0.0,
-            bounds=(-100, 100),
-            unit="rad/s²",
-            about=f"angular acceleration {axis} without control",
-            fixed=True,
-        )
-        for axis in ("of roll", "of pitch", "of yaw")
-    )
-    a5 = gb.Parameter(
-        0.0, bounds=(-1, 5), unit="1/s", about="linear drag across the rotor axes", fixed=True
-    )
-    a5_z = gb.Parameter(
-        0.0, bounds=(-1, 5), unit="1/s", about="linear drag along the rotor axes", fixed=True
-    )
-    C_x = gb.Parameter(
-        0.0, bounds=(-1, 2), unit="1/m", about="drag per squared velocity", fixed=True
-    )
-    b_rotor = gb.Parameter(
-        0.0, bounds=(-1, 2), unit="1/s", about="drag per velocity and rotor speed", fixed=True
-    )
-    x_a, y_a, z_a = (
-        gb.Parameter(
-            0.0,
-            bounds=(-0.5, 0.5),
-            unit="m",
-            about=f"place of the accelerometer, {axis}",
-            fixed=True,
-        )
-        for axis in ("forward", "left", "up")
-    )
     m = gb.Parameter(1.0, bounds=(1e-3, 100), unit="kg", about="mass, by a scale", fixed=True)
-    derived = {
-        "J_x": lambda p: p.m * p.j_x,
-        "J_y": lambda p: p.m * p.j_y,
-        "J_z": lambda p: p.m * p.s_z * (p.j_x + p.j_y),
-        "F_max": lambda p: p.m * (p.c_0 + p.c_1 + p.c_2),
-    }
+    derived = {"F_max": lambda p: p.m * (p.c_0 + p.c_1 + p.c_2)}
+    # Parameters of the lag, which measured speeds do not have.
+    of_lag = ("T_rotor", "T_delay", "h")
 
-    def __init__(self, rotors=4, attitude="", position=False, speeds=False):
-        if attitude not in ("", "angles", "quaternion"):
-            raise ValueError(
-                f"attitude = {attitude!r}: give 'angles', 'quaternion', or '' for none."
-            )
-        if position and not attitude:
-            raise ValueError("a position needs an attitude: give 'angles' or 'quaternion'.")
+    def __init__(self, rotors=4, speeds=False):
         self.rotors = regular_frame(rotors) if isinstance(rotors, int) else tuple(rotors)
         count = len(self.rotors)
         if count < 2 or any(len(place) != 3 for place in self.rotors):
@@ -442,22 +369,22 @@ class Multirotor(gb.StateSpace):
                 f"rotors = {rotors!r}: give at least two, each as (x, y, direction) with x and y "
                 "in m, or their number."
             )
-        self.attitude = {"": (), "angles": ANGLES, "quaternion": QUATERNION}[attitude]
-        self.velocity = VELOCITY if attitude else ()
-        self.position = POSITION if position else ()
+        self.commands = numbered("Omega" if speeds else "u", count)
         self.lagged = () if speeds else numbered("w", count)
-        self.inputs = numbered("Omega" if speeds else "u", count)
-        rigid = (*self.position, *self.velocity, *self.attitude)
-        self.states = (*rigid, *RATES, *self.lagged)
-        self.outputs = (*rigid, *RATES, *SPECIFIC_FORCE)
-        self.delays = {} if speeds else dict.fromkeys(self.inputs, "T_delay")
-        self.units = {name: unit for name, unit in UNITS.items() if name in self.outputs}
-        self.state_starts = {"q_w": 1.0} if attitude == "quaternion" else {}
+        self.delays = {} if speeds else dict.fromkeys(self.commands, "T_delay")
+        absent = self.of_lag if speeds else ()
         self.parameters = {
             name: parameter
             for name, parameter in type(self).parameters.items()
-            if (attitude or name not in DRAG) and not (speeds and name in LAG)
+            if name not in absent
         }
+        self.declare(self.lagged, self.commands, ("a_z",))
+
+    def declare(self, states, inputs, outputs):
+        """Set the signals and their units."""
+        self.states, self.inputs, self.outputs = states, inputs, outputs
+        named = (*inputs, *outputs)
+        self.units = {name: unit for name, unit in UNITS.items() if name in named}
 
     @property
     def label(self):
@@ -473,58 +400,206 @@ class Multirotor(gb.StateSpace):
         share = gb.g / len(self.rotors) - p.c_0
         speed = 2 * share / (p.c_1 + gb.sqrt(p.c_1**2 + 4 * p.c_2 * share))
         point = dict.fromkeys((*self.states, *self.inputs), 0.0) | self.state_starts
-        point |= dict.fromkeys((*self.lagged, *self.inputs), speed)
+        point |= dict.fromkeys((*self.lagged, *self.commands), speed)
         return {name: value for name, value in point.items() if name not in at}
 
     def rotor_signals(self, x, u):
         """Return the commands and the speeds of the rotors, which are the same without a lag."""
-        command = [u[name] for name in self.inputs]
+        command = [u[name] for name in self.commands]
         return command, [x[name] for name in self.lagged] or command
+
+    def rising(self, x, u, p):
+        """Return the derivatives of the rotor speeds; none without a lag."""
+        return rotor_lag(*self.rotor_signals(x, u), p.T_rotor) if self.lagged else ()
+
+    def derivative(self, x, u, p):
+        return self.rising(x, u, p)
+
+    def output(self, x, u, p):
+        return (sum(thrusts(self.rotor_signals(x, u)[1], p)),)
+
+
+class Rotation(Thrust):
+    r"""Angular rates from the commands of all rotors, (2.2) and (2.3) with the lag (4.21).
+
+    $$j \dot\omega + \omega \times j \omega = \sum_k \left( r_k \times e_z f_k - d_k e_z (k_m f_k
+    + h \dot w_k) \right) + j \delta$$
+
+    The thrusts $f_k$ of `Thrust` act at the places $r_k$ of the rotors, which turn in the
+    directions $d_k$. The reaction to the acceleration of rotors, $h$, and the angular acceleration
+    at rest $\delta$, such as that of a center of mass beside the middle of the rotors, are fixed at
+    zero until you free them.
+
+    Gyroscope and commands determine the inertias per thrust: hold the thrust curve that `Thrust`
+    finds with an accelerometer. Of yaw they determine only the ratios of $k_m$ and $h$ to $j_z =
+    s_z (j_x + j_y)$, so $s_z$ has to be stated. With the mass $m$, the derived quantities are
+    absolute; at 1 kg they are per mass.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.2), (2.3) and
+    (4.21).
+
+    Parameters
+    ----------
+    rotors, speeds
+        As of `Thrust`.
+    axes : str
+        The rates that are outputs, such as "pq"; the others are inputs.
+
+    Raises
+    ------
+    ValueError
+        For axes other than p, q and r.
+    """
+
+    j_x, j_y = (
+        gb.Parameter(
+            1e-3, bounds=(1e-6, 1), unit="m²", about=f"inertia per mass about {axis}", scale="log"
+        )
+        for axis in "xy"
+    )
+    s_z = gb.Parameter(
+        0.93, bounds=(0.5, 1), unit="1", about="j_z over j_x + j_y, 1 for a plate", fixed=True
+    )
+    k_m = gb.Parameter(0.01, bounds=(-0.2, 0.2), unit="m", about="yaw moment per thrust")
+    h = gb.Parameter(
+        0.0,
+        bounds=(-0.01, 0.01),
+        unit="m²",
+        about="angular momentum of a rotor per mass and speed",
+        fixed=True,
+    )
+    delta_p, delta_q, delta_r = (
+        gb.Parameter(
+            0.0, bounds=(-100, 100), unit="rad/s²", about=f"{axis} acceleration at rest", fixed=True
+        )
+        for axis in ("roll", "pitch", "yaw")
+    )
+    derived = Thrust.derived | {
+        "J_x": lambda p: p.m * p.j_x,
+        "J_y": lambda p: p.m * p.j_y,
+        "J_z": lambda p: p.m * p.s_z * (p.j_x + p.j_y),
+    }
+
+    def __init__(self, rotors=4, speeds=False, axes="pqr"):
+        super().__init__(rotors, speeds)
+        if not axes or set(axes) - set(RATES):
+            raise ValueError(f"axes = {axes!r}: give one or more of p, q and r, such as 'pq'.")
+        self.axes = tuple(rate for rate in RATES if rate in axes)
+        measured = tuple(rate for rate in RATES if rate not in axes)
+        unused = [f"delta_{rate}" for rate in measured] + (["k_m", "h"] if "r" in measured else [])
+        for name in unused:
+            self.parameters.pop(name, None)
+        self.declare((*self.axes, *self.lagged), (*self.commands, *measured), self.axes)
 
     def inertia(self, p):
         """Return the inertias per mass about x, y and z."""
         return p.j_x, p.j_y, p.s_z * (p.j_x + p.j_y)
 
-    def motion(self, x, u, p):
-        """Return the specific force in body axes, and the angular acceleration."""
-        command, speed = self.rotor_signals(x, u)
-        thrust = thrusts(speed, p)
-        moment = rotor_moments(self.rotors, thrust, p.k_m)
-        if self.lagged:
-            rising = rotor_lag(command, speed, p.T_rotor)
-            reaction = p.h * sum(
-                d * rate for (_, _, d), rate in zip(self.rotors, rising, strict=True)
-            )
-            moment = (*moment[:2], moment[2] - reaction)
-        turning = angular_acceleration(x, moment, self.inertia(p))
-        turning = tuple(map(sum, zip(turning, (p.delta_p, p.delta_q, p.delta_r), strict=True)))
-        force = (0.0, 0.0, sum(thrust))
-        if self.attitude:
-            velocity = to_body(x, (x.v_x, x.v_y, x.v_z))
-            force = tuple(map(sum, zip(force, drag(velocity, speed, p), strict=True)))
-        return force, turning
+    def turning(self, x, u, p):
+        """Return the derivatives of all three rates."""
+        rates = SimpleNamespace(**{r: x[r] if r in self.axes else u[r] for r in RATES})
+        thrust = thrusts(self.rotor_signals(x, u)[1], p)
+        roll, pitch, yaw = rotor_moments(self.rotors, thrust, p.get("k_m", 0.0))
+        # Without a lag there is no acceleration of rotors.
+        for (_, _, direction), rate in zip(self.rotors, self.rising(x, u, p), strict=False):
+            yaw -= p.get("h", 0.0) * direction * rate
+        turning = angular_acceleration(rates, (roll, pitch, yaw), self.inertia(p))
+        return tuple(
+            acceleration + p.get(f"delta_{rate}", 0.0)
+            for rate, acceleration in zip(RATES, turning, strict=True)
+        )
 
     def derivative(self, x, u, p):
-        force, turning = self.motion(x, u, p)
-        rates = ()
-        if self.attitude:
-            a_x, a_y, a_z = to_world(x, force)
-            kinematics = euler_rates if self.attitude == ANGLES else quaternion_rates
-            rates = (a_x, a_y, a_z - gb.g, *kinematics(x, x))
-        if self.position:
-            rates = (x.v_x, x.v_y, x.v_z, *rates)
-        if self.lagged:
-            command, speed = (
-                [of[n] for n in names] for of, names in ((u, self.inputs), (x, self.lagged))
-            )
-            turning = (*turning, *rotor_lag(command, speed, p.T_rotor))
-        return (*rates, *turning)
+        turning = dict(zip(RATES, self.turning(x, u, p), strict=True))
+        return (*(turning[rate] for rate in self.axes), *self.rising(x, u, p))
 
     def output(self, x, u, p):
-        force, turning = self.motion(x, u, p)
-        felt = accelerometer(force, x, turning, (p.x_a, p.y_a, p.z_a))
+        return tuple(x[rate] for rate in self.axes)
+
+
+class Multirotor(Rotation):
+    r"""A multirotor from motor commands or rotor speeds to its sensors, (2.1) to (2.3) and (4.21).
+
+    $$\dot v = R \left( e_z \sum_k f_k - D(R^T v) \right) - g e_z, \quad a = e_z \sum_k f_k - D(R^T
+    v) + \dot\omega \times r_a + \omega \times (\omega \times r_a)$$
+
+    Thrusts and rates are those of `Thrust` and `Rotation`, and the attitude $R$ follows (2.1) or
+    is a quaternion. Velocity and position are those along the axes of the world. $D$ is `drag`. It
+    and the place $r_a$ of the accelerometer are fixed at zero until you free them.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.1) to (2.3) and
+    (4.21).
+
+    Parameters
+    ----------
+    rotors, speeds
+        As of `Thrust`.
+    attitude : "", "angles" or "quaternion"
+        How the attitude is described; "" leaves out attitude, velocity and drag.
+    position : bool
+        Add the position.
+
+    Raises
+    ------
+    ValueError
+        For another attitude, or a position without attitude.
+    """
+
+    a5 = gb.Parameter(
+        0.0, bounds=(-1, 5), unit="1/s", about="linear drag across the rotor axes", fixed=True
+    )
+    a5_z = gb.Parameter(
+        0.0, bounds=(-1, 5), unit="1/s", about="linear drag along the rotor axes", fixed=True
+    )
+    C_x = gb.Parameter(
+        0.0, bounds=(-1, 2), unit="1/m", about="drag per squared velocity", fixed=True
+    )
+    b_rotor = gb.Parameter(
+        0.0, bounds=(-1, 2), unit="1/s", about="drag per velocity and rotor speed", fixed=True
+    )
+    x_a, y_a, z_a = (
+        gb.Parameter(
+            0.0, bounds=(-0.5, 0.5), unit="m", about=f"accelerometer, {axis} of center", fixed=True
+        )
+        for axis in ("forward", "left", "up")
+    )
+    of_motion = ("a5", "a5_z", "C_x", "b_rotor")
+
+    def __init__(self, rotors=4, attitude="", position=False, speeds=False):
+        if attitude not in ("", "angles", "quaternion"):
+            raise ValueError(
+                f"attitude = {attitude!r}: give 'angles', 'quaternion', or '' for none."
+            )
+        if position and not attitude:
+            raise ValueError("a position needs an attitude: give 'angles' or 'quaternion'.")
+        super().__init__(rotors, speeds)
+        self.attitude = {"": (), "angles": ANGLES, "quaternion": QUATERNION}[attitude]
+        self.position = POSITION if position else ()
+        self.state_starts = {"q_w": 1.0} if attitude == "quaternion" else {}
+        rigid = (*self.position, *(VELOCITY if attitude else ()), *self.attitude, *RATES)
+        self.declare((*rigid, *self.lagged), self.commands, (*rigid, *SPECIFIC_FORCE))
+        if not attitude:
+            for name in self.of_motion:
+                del self.parameters[name]
+
+    def force(self, x, u, p):
+        """Return the specific force in body axes."""
+        speed = self.rotor_signals(x, u)[1]
+        lift = sum(thrusts(speed, p))
+        if not self.attitude:
+            return 0.0, 0.0, lift
+        d_x, d_y, d_z = drag(to_body(x, (x.v_x, x.v_y, x.v_z)), speed, p)
+        return d_x, d_y, lift + d_z
+
+    def derivative(self, x, u, p):
+        path = (x.v_x, x.v_y, x.v_z) if self.position else ()
+        if self.attitude:
+            a_x, a_y, a_z = to_world(x, self.force(x, u, p))
+            kinematics = euler_rates if self.attitude == ANGLES else quaternion_rates
+            path = (*path, a_x, a_y, a_z - gb.g, *kinematics(x, x))
+        return (*path, *super().derivative(x, u, p))
+
+    def output(self, x, u, p):
+        place = (p.x_a, p.y_a, p.z_a)
+        felt = accelerometer(self.force(x, u, p), x, self.turning(x, u, p), place)
         return (*(x[name] for name in self.outputs[:-3]), *felt)
-
-
-DRAG = ("a5", "a5_z", "C_x", "b_rotor")
-LAG = ("T_rotor", "T_delay", "h")
