@@ -130,8 +130,8 @@ def segment_table(segments: Segments) -> str:
     # The tests of one flight often have one axis and one source.
     columns: dict[str, Sequence[str]] = dict(zip(header, zip(*rows, strict=True), strict=True))
     common = [name for name in ("axis", "source") if len({*columns[name]}) == 1 < len(rows)]
-    if common:
-        notes.append(f"all: {', '.join(f'{name} {columns[name][0]}' for name in common)}")
+    said = [f"{name} {columns[name][0]}" for name in common if columns[name][0]]
+    notes += [f"all: {', '.join(said)}"] if said else []
     shown = {name: column for name, column in columns.items() if name not in common}
     left = [k for k, name in enumerate(shown) if name in ("kind", "axis", "source")]
     return "\n".join([text_table([*shown], [*zip(*shown.values(), strict=True)], left), *notes])
