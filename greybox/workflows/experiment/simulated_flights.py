@@ -159,7 +159,7 @@ def _compiled(
     formulas = controller_formulas(controllers, loops.sensors, loops.inputs)
     initial = ca.DM([value for c in controllers for value in c.initial])
     x, v = formulas.states, formulas.inputs
-    law = ca.Function("law", [x, v], [formulas.following, formulas.total])
+    law = ca.Function("law", [x, v], [formulas.next_states, formulas.total])
     about = ca.Function("blocks", [x, v], [formulas.total, *_gradients(formulas.total, x, v)])
     total, by_state, by_input = about(initial, ca.DM.zeros(v.numel()))
     linear = total + by_state @ (x - initial) + by_input @ v
