@@ -34,7 +34,7 @@ SENSITIVITY = "peak |S|"
 MARGINS = {"phase margin": "deg", "gain margin": "dB", "gain reduction margin": "dB"}
 # Beginnings of the names of rows.
 NOISE = "noise from "
-PEAK = "peak response of "
+PEAK = "peak of "
 REJECTION = "disturbance rejection bandwidth"
 
 
@@ -201,8 +201,8 @@ class TodaysLoop:
         for name in self.inputs:
             for response in self.responses:
                 peak, rms = moment_response(loops, name, response, self.horizon)
-                place = f"{response} to a moment at {name}"
-                rows[f"rms response of {place}"] = Row(rms, "")
+                place = f"{response} from a moment at {name}"
+                rows[f"rms of {place}"] = Row(rms, "")
                 rows[f"{PEAK}{place}"] = Row(peak, "")
         for name in self.inputs:
             for sensor in self.measured:
