@@ -12,10 +12,12 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.public import public
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.traced_once import once
 
 
+@public
 @dataclass(frozen=True)
 class Integrator(ABC):
     """A scheme with `substeps` equal steps from one sample to the next.
@@ -58,6 +60,7 @@ class Integrator(ABC):
         """Return x (n,) one step h later, from u (m,) at its beginning and their slope (m,)."""
 
 
+@public
 @dataclass(frozen=True)
 class RungeKutta(Integrator):
     """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""

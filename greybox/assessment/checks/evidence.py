@@ -6,6 +6,7 @@ from greybox.assessment.fitted_part import FittedRecord
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.compiled.part import Trajectory
 from greybox.engine.compiled.record_part import RecordPart
@@ -15,6 +16,7 @@ from greybox.engine.solve.search import Search
 Pairs = list[tuple[RecordPart, FittedRecord]]
 
 
+@public
 @frozen
 class Evidence:
     """A search, its best minimum, and the estimate there.

@@ -4,9 +4,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from greybox.data.files.grouping import grouped
+from greybox.data.files.public import public
 from greybox.data.files.wording import some
 
 
+@public
 @dataclass(frozen=True)
 class Finding:
     """A sentence of a check.

@@ -10,12 +10,14 @@ from greybox.data.files.arrays import Array, ComplexArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.engine.compiled.disturbances import Effect
 from greybox.modeling.added_terms import Formula
 
 KNOTS = 11  # of a function of any shape
 
 
+@public
 @dataclass(frozen=True)
 class Wording:
     """A kind of term in words, and the code that adds it to a model.
@@ -114,6 +116,7 @@ def same_wording(size: float) -> None:
     """Return that a term of any size is what it was tried as."""
 
 
+@public
 @frozen
 class RecordTerm(Term):
     """A term that the model of a record may lack.

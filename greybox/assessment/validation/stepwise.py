@@ -30,6 +30,7 @@ from greybox.data.files.named_values import Values, selected, without
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.progress import bar
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, listed
 from greybox.engine.compiled.compiled_problem import AnyProblem, require_problem
@@ -87,6 +88,7 @@ class Trial:
         ]
 
 
+@public
 @frozen
 class StepwiseSelection(Printed):
     """The terms that the data support. Printing it shows every step.
@@ -141,6 +143,7 @@ class StepwiseSelection(Printed):
         return text
 
 
+@public
 def stepwise(
     problem: AnyProblem,
     candidates: Sequence[str] | Values | Misfit,

@@ -16,6 +16,7 @@ import numpy as np
 from greybox.data.files.argument_checks import require_kind
 from greybox.data.files.arrays import Array, all_finite
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.solve.constraints import Limits, limits_of
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
@@ -36,6 +37,7 @@ NO_COST = "no finite cost at the end"
 NEGLIGIBLE = 5e-4
 
 
+@public
 @frozen
 class Solution:
     """Where a solver ended.

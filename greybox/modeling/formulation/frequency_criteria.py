@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formulation.criterion import AnyCriterion
@@ -184,6 +185,7 @@ class _Relative(Criterion):
         return relative_score(noise, points, self.power, self.normalized).gain_bias
 
 
+@public
 @frozen
 class RelativeError(_Relative):
     """Sum of relative errors, Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
@@ -228,6 +230,7 @@ class RelativeError(_Relative):
         return np.where(k < 1e-4, math.pi / 4 * k, (ellipe(k**2) - K_term) / k)
 
 
+@public
 @frozen
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
@@ -247,6 +250,7 @@ class SquaredRelativeError(_Relative):
         return total(squared_magnitude(self.errors(model, data)))
 
 
+@public
 @frozen
 class RelativeLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of one unknown relative variance.
@@ -293,6 +297,7 @@ class RelativeLikelihood(Criterion):
         return bread, np.full(2 * len(data), correction**2 * bread)
 
 
+@public
 @frozen
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
@@ -375,6 +380,7 @@ class MagnitudePhase(Criterion):
         return common * _DB_PER_NEPER, np.degrees(common * math.sqrt(0.01745))
 
 
+@public
 @frozen
 class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².

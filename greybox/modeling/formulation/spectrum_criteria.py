@@ -1,6 +1,7 @@
 """Criteria for the Fourier integrals of a manoeuvre: `EquationError` and `OutputError`."""
 
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.disturbance import gust_time
@@ -12,6 +13,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 
 
+@public
 @frozen
 class EquationError(TimeCriterion):
     """Maximum likelihood with all errors in the differential equation, such as turbulence.

@@ -14,6 +14,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.modeling.parameter import Parameters
 
@@ -34,6 +35,7 @@ class Starts(ABC):
     def __str__(self) -> str: ...
 
 
+@public
 @dataclass(frozen=True)
 class Sobol(Starts):
     """Scrambled Sobol points, spread over the boxes of the parameters.
@@ -86,6 +88,7 @@ def sobol_shares(number: int, dimensions: int, seed: int) -> Array:
     return sequence.random_base2((number - 1).bit_length())[:number]
 
 
+@public
 @dataclass(frozen=True)
 class Listed(Starts):
     """Starts as mappings of name to value; other parameters begin at their declared start."""

@@ -22,6 +22,7 @@ from greybox.data.files.arrays import Interval
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, attributes, non_empty
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.logs.known_filters import KnownFilter, KnownFilters
 from greybox.data.logs.readers import read
@@ -41,6 +42,7 @@ from greybox.workflows.identification.structure_fit import (
 )
 
 
+@public
 @frozen
 class Identification:
     """A model from logs; printed, it explains every choice and the comparison of structures.
@@ -106,6 +108,7 @@ class Identification:
         return "\n\n".join(part for part in parts if part)
 
 
+@public
 def identify(  # noqa: PLR0913 - every choice that an analyst makes
     log: str | Path | Recording | Sequence[str | Path | Recording],
     *,

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.public import public
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.transcription.method import Transcribed, Transcription
@@ -16,6 +17,7 @@ from greybox.modeling.implicit_integrators import ImplicitIntegrator, Radau
 MOST_POINTS = 9
 
 
+@public
 @dataclass(frozen=True)
 class Collocation(Transcription):
     """Radau points between samples: no simulation, so stiff and unstable models cause no trouble.

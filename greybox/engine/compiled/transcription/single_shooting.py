@@ -5,11 +5,13 @@ from typing import Any
 
 import casadi as ca
 
+from greybox.data.files.public import public
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.transcription.method import Shooting, Transcribed
 
 
+@public
 @dataclass(frozen=True)
 class SingleShooting(Shooting):
     """Simulation from the first sample: few unknowns, but not for an unstable plant.
