@@ -34,6 +34,8 @@ CONTROLLER_OPTIONS = """
 --signals OWN=PLANT...
     a signal of a controller and its name in the plant, e.g. q=theta_dot
 """
+# The options that people use; the help shows the others below them.
+USED = "--log --controller --set --rate --signals --axis --broken-at --plot --report --details"
 OPTIONS = f"""
 results RESULT...
     a fit that greybox fit --out wrote, or the folder of a study; several, such as operating
@@ -63,6 +65,7 @@ results RESULT...
 --hz
 --report FILE
     write a page about the fits or measured loops with their margins, as greybox report does
+--details
 --force
 """
 
@@ -99,7 +102,7 @@ def run(options: argparse.Namespace) -> Answer:
         )
         loops = [flown.model, *flown.others]
         answer = flown.to_dict()
-        text = [str(flown)]
+        text = [str(flown), *([flown.details] if options.details else [])]
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:

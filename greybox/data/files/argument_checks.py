@@ -33,9 +33,7 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
 def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
     """Return one item or several as a tuple, each checked by `require_kind`."""
     # A record yields the names of its signals.
-    is_single = (
-        isinstance(items, kinds) or isinstance(items, str) or not isinstance(items, Iterable)
-    )
+    is_single = isinstance(items, kinds | str) or not isinstance(items, Iterable)
     listed = (items,) if is_single else tuple(items)
     for item in listed:
         require_kind(what, item, kinds, cure)

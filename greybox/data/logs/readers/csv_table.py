@@ -99,10 +99,16 @@ def read(
     # As rows without a time, the samples would count as independent.
     unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
     if unread and not (rate or any(map(is_clock_name, clock))):
+        values = columns.get(unread[0].name)
+        stands_still = values is not None and values.size > 1 and np.ptp(values) == 0
+        fault = (
+            "which stands still"
+            if stands_still
+            else "which is not a time in numbers with a known unit"
+        )
         raise ValueError(
-            f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
-            "unit, or stands still: give it in seconds as 'time [s]', state the rate, rate=HZ, or "
-            "give it another name if it is not a time."
+            f"{path} has the column '{unread[0]}', {fault}: give it in seconds as 'time [s]', "
+            "state the rate, rate=HZ, or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
