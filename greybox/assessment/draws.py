@@ -48,6 +48,13 @@ class Draws(Printed):
         Free, fixed and tied parameters, as `Fit.names`.
     columns : mapping of name to (n,) array
         Parameters in the units of the fit, then derived quantities of the models.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> draws = gb.draws(gb.fit(pitch_hover.problem(), starts=5), 50)
+    >>> sorted(draws[0]) == sorted(draws.names)
+    True
     """
 
     name: str

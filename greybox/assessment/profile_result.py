@@ -111,6 +111,14 @@ class Profiles(Printed):
         The columns of `ProfileOf.others`.
     profiles : tuple of ProfileOf
     warnings : tuple of str
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> profiles = gb.profile(gb.fit(pitch_hover.problem(), starts=5), ["a1"])
+    >>> low, high = profiles["a1"].interval
+    >>> low < high
+    True
     """
 
     name: str

@@ -183,6 +183,13 @@ class Radau(ImplicitIntegrator):
         halved where its error is too large.
     degree : int
         Number of stages.
+
+    Examples
+    --------
+    >>> from greybox.models.tilt import LinearTilt
+    >>> record = gb.Record(np.arange(100) / 100, {"u": np.ones(100)})
+    >>> len(gb.simulate(LinearTilt(), record=record, integrator=gb.Radau()))
+    100
     """
 
     degree: int = 3

@@ -37,6 +37,11 @@ class Integrator(ABC):
         it.
     implicit : bool
         True if a step solves equations by iteration, which CasADi expresses in MX only.
+
+    Examples
+    --------
+    >>> [isinstance(i, gb.Integrator) for i in (gb.RungeKutta(), gb.Radau())]
+    [True, True]
     """
 
     substeps: int | None = None
@@ -63,7 +68,16 @@ class Integrator(ABC):
 @public
 @dataclass(frozen=True)
 class RungeKutta(Integrator):
-    """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""
+    """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1).
+
+    Examples
+    --------
+    >>> from greybox.models.tilt import LinearTilt
+    >>> record = gb.Record(np.arange(100) / 100, {"u": np.ones(100)})
+    >>> moved = gb.simulate(LinearTilt(), record=record, integrator=gb.RungeKutta(substeps=2))
+    >>> len(moved)
+    100
+    """
 
     order = 4
     # The stability region ends at -2.785 on the real and 2.828 j on the imaginary axis.

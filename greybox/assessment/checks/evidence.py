@@ -29,6 +29,17 @@ class Evidence:
         The covariance, what it consists of, and what the data leave open.
     fit : Fit
         The answer: values, errors, residuals, and the misfit once that is known.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> def few_points(evidence):
+    ...     for part in evidence.fit.responses:
+    ...         if len(part.data) < 20:
+    ...             yield gb.Finding(f"{part.name!r} has {len(part.data)} points.", is_note=True)
+    >>> fit = gb.fit(pitch_hover.problem(), starts=5, checks=[few_points])
+    >>> len(fit.notes) > 0
+    True
     """
 
     search: Search

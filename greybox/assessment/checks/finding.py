@@ -24,6 +24,11 @@ class Finding:
         Name of the record or response that it concerns.
     is_note : bool
         True for a remark, which is no reason to doubt the values.
+
+    Examples
+    --------
+    >>> print(gb.Finding("the phase was looked at.", is_note=True).text)
+    the phase was looked at.
     """
 
     text: str

@@ -30,6 +30,12 @@ class Wording:
         For a positive factor on the term.
     opposite, opposite_code : str
         For a negative factor, where they differ.
+
+    Examples
+    --------
+    >>> RIPPLE = gb.Wording("a ripple of {target}, {size}", "p.ripple * gb.sin(9 * u.{target})")
+    >>> RIPPLE.text
+    'a ripple of {target}, {size}'
     """
 
     text: str
@@ -140,6 +146,14 @@ class RecordTerm(Term):
     knots : int
         Number of knots of the function of these values that may be missing, whatever its shape, or
         zero for the values themselves.
+
+    Examples
+    --------
+    >>> RIPPLE = gb.Wording("a ripple of {target}, {size}", "p.ripple * gb.sin(9 * u.{target})")
+    >>> def ripples(flight):
+    ...     for u in flight.inputs:
+    ...         yield u.term(RIPPLE, np.sin(9 * u.values), scale=1.0)  # a RecordTerm
+    >>> causes = [*gb.CAUSES, ripples]  # for gb.misfit(fit, causes=causes)
     """
 
     values: Array = field(kw_only=True)

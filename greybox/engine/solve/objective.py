@@ -156,6 +156,13 @@ class Objective(Rebuilt):
         States of each part at the beginning of every segment, with which a point begins.
     is_scaled : bool
         Whether vectors are scaled variables.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> objective = gb.objective(pitch_hover.problem())
+    >>> objective.gradient(objective.start).shape
+    (4,)
     """
 
     nlp: CompiledProblem

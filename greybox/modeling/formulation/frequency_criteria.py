@@ -39,6 +39,14 @@ class Criterion(AnyCriterion):
         Whether the weights of all points are those of errors of one relative size.
     locator : Criterion or None
         Criterion to minimize first, if this one has local minima.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> criteria = [gb.RelativeError(), gb.MagnitudePhase()]
+    >>> problems = [pitch_hover.problem().with_(criterion=c) for c in criteria]
+    >>> [gb.fit(problem, starts=5).criterion for problem in problems]
+    ['relative-error', 'magnitude-phase']
     """
 
     condition = "errors isotropic in the complex plane and of one relative size"
@@ -198,6 +206,12 @@ class RelativeError(_Relative):
     relative size, see `relative_score`. For small errors, Cov = (4/π) s² (JᵀJ)⁻¹, with s the
     standard deviation of one component. The minimum of n points and p parameters lies below the
     cost at the truth by p s √(π/2) / π, so that the mean |e| is too small; s is corrected for this.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> gb.fit(pitch_hover.problem().with_(criterion=gb.RelativeError()), starts=5).converged
+    True
     """
 
     rule = "sum of relative errors"
@@ -240,6 +254,13 @@ class SquaredRelativeError(_Relative):
     measured magnitude, points that noise makes small have too much weight: with noise of 20 % in
     each component, the gain varies one and a half times as much as that of `RelativeLikelihood`,
     which has no such bias.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> squared = pitch_hover.problem().with_(criterion=gb.SquaredRelativeError())
+    >>> gb.fit(squared, starts=5).converged
+    True
     """
 
     rule = "sum of squared relative errors"
@@ -268,6 +289,13 @@ class RelativeLikelihood(Criterion):
 
     Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ²
     eliminated.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> likely = pitch_hover.problem().with_(criterion=gb.RelativeLikelihood())
+    >>> gb.fit(likely, starts=5).converged
+    True
     """
 
     rule = "maximum likelihood, one unknown relative variance"
@@ -312,6 +340,12 @@ class MagnitudePhase(Criterion):
     errors through the weights. These errors have the variances of the data; or else relative
     variances in proportion to (1 - γ²)/γ², as random errors of a spectral estimate (Bendat and
     Piersol, Random Data, 4th ed., section 9.2), or one relative size, both scaled by the residuals.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> gb.fit(pitch_hover.problem().with_(criterion=gb.MagnitudePhase()), starts=5).converged
+    True
     """
 
     rule = "coherence-weighted magnitude (dB) and phase (deg), CIFER"

@@ -23,7 +23,15 @@ MOST = 2**20
 
 
 class Starts(ABC):
-    """A rule for the starts of a search; `seed` is None if it draws no random numbers."""
+    """A rule for the starts of a search; `seed` is None if it draws no random numbers.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> sobol = gb.solve.Sobol(5, seed=1)
+    >>> isinstance(sobol, gb.Starts), gb.fit(pitch_hover.problem(), sobol).converged
+    (True, True)
+    """
 
     seed: int | None = None
 

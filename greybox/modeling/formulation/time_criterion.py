@@ -64,6 +64,11 @@ class TimeCriterion(AnyCriterion):
         Whether the residuals of a sample correct the states, by the gains of `gains`.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
+
+    Examples
+    --------
+    >>> [isinstance(c, gb.TimeCriterion) for c in (gb.OutputError(), gb.RelativeError())]
+    [True, False]
     """
 
     noise: Literal["diagonal", "full"] | Values | ErrorCovariance = "diagonal"

@@ -63,6 +63,20 @@ class Controller(ABC):
     ------
     ValueError
         For names that the declaration does not have, or numbers that are not finite.
+
+    Examples
+    --------
+    >>> class Hold(gb.Controller):
+    ...     'Holds an angle.'
+    ...
+    ...     inputs, outputs = ("theta", "q"), ("u",)
+    ...     K = gb.Parameter(4.0, bounds=(0, 100), unit="1", about="control per error")
+    ...     D = gb.Parameter(1.0, bounds=(0, 100), unit="s", about="control per rate")
+    ...
+    ...     def update(self, x, u, p):
+    ...         return (), (p.K * (u.reference - u.theta) - p.D * u.q,)
+    >>> Hold({"K": 5.0}, rate=100).rate
+    100.0
     """
 
     states: Sequence[str] = ()

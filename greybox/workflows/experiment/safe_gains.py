@@ -334,6 +334,16 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     ValueError
         For gains that no controller has, ranges that are not increasing, or what `greybox.margins`
         refuses.
+
+    Examples
+    --------
+    >>> from greybox.models.controller import AttitudeController
+    >>> from greybox.problems import sitl_pitch
+    >>> fit = gb.fit(sitl_pitch.problem(), starts=3)
+    >>> flown = AttitudeController({"K_P": 0.12}, rate=400, signals={"q": "theta_dot"})
+    >>> safe = gb.safe_gains(fit, flown, ["K_P"])  # doctest: +SKIP
+    >>> safe.best or "keep today's gains"  # doctest: +SKIP
+    "keep today's gains"
     """
     require_level(level)
     flights = checked_items("a flight", fits, Fit, "the fit of a flight, or several")

@@ -95,6 +95,14 @@ class Bootstrap(Printed):
         Why each replicate failed; empty for the others.
     warnings : tuple of str
     seconds : float
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=5)
+    >>> samples = gb.bootstrap(fit, replicates=4, progress=False)
+    >>> samples.values.shape
+    (4, 5)
     """
 
     name: str

@@ -31,6 +31,14 @@ class Collocation(Transcription):
         See `Transcription`.
     degree : int
         Collocation points a sample, 1 to 9; the order is twice that less one.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0].between(5, 10))
+    >>> gb.fit(problem, starts=1, method=gb.Collocation()).converged
+    True
     """
 
     degree: int = 3

@@ -60,6 +60,11 @@ class Transcription(ABC):
         chosen from the growth of the unstable poles, between 5 and 10.
     hessian : "gauss-newton" or "exact"
         Hessian of the problem that IPOPT solves.
+
+    Examples
+    --------
+    >>> isinstance(gb.Collocation(), gb.Transcription)  # one of the included ones
+    True
     """
 
     segment: int | None = None

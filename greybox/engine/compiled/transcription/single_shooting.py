@@ -25,6 +25,14 @@ class SingleShooting(Shooting):
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the poles along the data
         need.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0].between(5, 10))
+    >>> gb.fit(problem, starts=1, method=gb.SingleShooting()).converged
+    True
     """
 
     label = "single shooting"
