@@ -18,6 +18,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
@@ -131,6 +132,7 @@ class RationalFit(Printed):
         return "\n".join(lines)
 
 
+@public
 def levy(
     data: FrequencyResponse,
     n: int,
@@ -205,6 +207,7 @@ def ratio(
     return np.polyval(numerator, 1j * omega) / np.polyval(denominator, 1j * omega)
 
 
+@public
 def order_path(
     data: FrequencyResponse, n: int, m: int, integrator: bool = False
 ) -> tuple[RationalFit, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.reporting.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
@@ -27,6 +28,7 @@ DB_PER_NEPER = 20 / np.log(10)
 MOST_PAIRS = 6
 
 
+@public
 def bode(
     *fits: Fit | FrequencyResponse,
     labels: Sequence[str] = (),

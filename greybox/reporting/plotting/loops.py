@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.reporting.plotting.bode import BARS, error_bars
 from greybox.reporting.plotting.figure import (
@@ -41,6 +42,7 @@ ESTIMATE = "estimate"
 TURN = np.exp(1j * np.linspace(0, math.tau, 181))
 
 
+@public
 def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -> AxesArray:
     """Draw the broken loop (magnitude, phase, Nichols, Nyquist), its sensitivity and a step.
 

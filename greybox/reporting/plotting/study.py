@@ -15,6 +15,7 @@ from greybox.data.files.arrays import Array, sum_of_squares
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number, p_text
+from greybox.data.files.public import public
 from greybox.data.files.wording import some
 from greybox.reporting.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.reporting.plotting.matplotlib_figure import draw
@@ -47,6 +48,7 @@ class Value(NamedTuple):
     error: float
 
 
+@public
 def trend(study: Study, quantity: str, over: str | Values, ax: Axes | None = None) -> Axes:
     """Draw a quantity with its standard errors over the operating point.
 
@@ -120,6 +122,7 @@ def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
     )
 
 
+@public
 def estimates(study: Study | Fits, quantity: str, ax: Axes | None = None) -> Axes:
     """Draw a quantity of all members with standard errors.
 
@@ -189,6 +192,7 @@ def estimates_figure(study: Study | Fits, quantity: str) -> Figure:
     return Figure("Members", label, [panel], quantity, is_logarithmic=is_logarithmic)
 
 
+@public
 def structures(results: Study | Comparison, ax: Axes | None = None) -> Axes:
     """Draw a map of structures and data sets.
 

@@ -13,6 +13,7 @@ from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import listed
 from greybox.workflows.experiment.sampled_loop import SampledLoop
@@ -86,6 +87,7 @@ class GainChange:
         return _signed(100 * change, " %")
 
 
+@public
 @frozen
 class GainComparison(Printed):
     """A set of gains against today's gains, with the same plants. It prints itself as a table.

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 
 
+@public
 def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
     """Return the gain of the broken loop, L = 1/S - 1, of negative feedback.
 

@@ -8,6 +8,7 @@ from greybox.assessment.response_band import require_level
 from greybox.data.files.argument_checks import require_kind
 from greybox.data.files.arrays import Array, ComplexArray
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.data.files.wording import listed
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.workflows.experiment.drawn_loops import DRAWS
@@ -20,6 +21,7 @@ from greybox.workflows.experiment.margin_values import ORDER, UNITS, Margin, Mar
 LEAST = ("modulus margin", "disturbance rejection peak")
 
 
+@public
 def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
     """Return the margins of a measured broken loop, with the sign of negative feedback.
 
