@@ -51,7 +51,7 @@ def vehicle(seed):
     truth = {
         "m": mass,
         "T_rotor": 0.01 * 10 ** random.uniform(0.1, 0.9),
-        "T_delay": random.uniform(0.002, 0.01),
+        "T_delay": STEP * random.integers(2, 11),
         "c_0": 0.0,
         "c_1": c_1,
         "c_2": (share - c_1 * hover) / hover**2,

@@ -526,6 +526,16 @@ class Rotation(Thrust):
             self.parameters.pop(name, None)
         self.declare((*self.axes, *self.lagged), (*self.commands, *measured), self.axes)
 
+    @property
+    def exports(self):
+        """How `greybox export` writes a vehicle: a function of the values for each ending."""
+        from greybox.models.multirotor_export import to_mjcf, to_rotorpy  # noqa: PLC0415
+
+        return {
+            ".xml": lambda values: to_mjcf(self, values),
+            ".py": lambda values: to_rotorpy(self, values),
+        }
+
     def inertia(self, p):
         """Return the inertias per mass about x, y and z."""
         return p.j_x, p.j_y, p.s_z * (p.j_x + p.j_y)

@@ -164,6 +164,8 @@ def flight_stages(rotors, recordings):
             together,
             lambda fits: [_joined_estimates(fits)],
             method,
+            # Near its start it takes some ten iterations; one that does not end is no minimum.
+            {"max_iter": 40},
         ),
     )
 

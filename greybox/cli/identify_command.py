@@ -153,6 +153,7 @@ def _in_stages(
     answer: dict[str, Any] = {"stages": fits}
     if found.failure:
         answer["error"] = found.failure
+    if not found.fit.converged:
         return answer, str(found)
     save(replace(found.fit, command=options.arguments), path)
     answer["files"] = [path]

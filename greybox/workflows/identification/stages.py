@@ -7,6 +7,7 @@ same, and carries the covariance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
 from typing import Any, Protocol, runtime_checkable
 
 from greybox.assessment.fit import fit
@@ -37,6 +38,8 @@ class Stage:
     starts : int or function
         A number of starts, or ``starts(fits)``, a list of points.
     method : Transcription, optional
+    solver_options : mapping
+        As of `fit`, such as ``{"max_iter": 100}``.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Stage:
     problem: Callable[[Mapping[str, Fit]], AnyProblem]
     starts: int | Callable[[Mapping[str, Fit]], Sequence[Mapping[str, float]]] = 1
     method: Transcription | None = None
+    solver_options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -76,8 +80,9 @@ class StagedIdentification:
 
     @property
     def fit(self) -> Fit:
-        """The fit of the last stage, or of the first that failed."""
-        return [*self.fits.values()][-1]
+        """The fit of the last stage with an estimate, or of the first stage."""
+        estimates = [result for result in self.fits.values() if result.converged]
+        return (estimates or [*self.fits.values()])[-1]
 
     @property
     def failure(self) -> str:
@@ -86,8 +91,8 @@ class StagedIdentification:
         if not failed:
             return ""
         return (
-            f"no start of the stage {failed[0]!r} converged: its warnings say why. The stages "
-            "after it need its estimate."
+            f"no start of the stage {failed[0]!r} converged: its warnings say why. The estimates "
+            "are those of the stages before it."
         )
 
     def __repr__(self) -> str:
@@ -136,6 +141,7 @@ def fit_in_stages(
             starts if drawn else starts(fits),
             seed if drawn else None,
             method=stage.method,
+            solver_options=stage.solver_options,
             profiles=False,
             progress=False,
         )
