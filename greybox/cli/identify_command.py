@@ -32,6 +32,8 @@ EXAMPLES = (
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
     "log10 --structures 'multirotor:Multirotor((4, 0.04))' --fix m=0.027",
 )
+# The options that people use; the help shows the others below them.
+USED = "--input --output --axis --band --columns --structures --fix --bounds --out --details"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 logs LOG...
@@ -64,6 +66,7 @@ logs LOG...
     first part of the names of response, result and figure (default: the name of the log, in this
     folder)
 --hz
+--details
 --force
 """
 
@@ -94,6 +97,8 @@ def run(options: argparse.Namespace) -> Answer:
     )
     answer = _json(identification)
     text = [str(identification)]
+    if options.details and identification.selection is not None:
+        text += ["", identification.details]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
     if selection is None:

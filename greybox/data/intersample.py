@@ -64,11 +64,11 @@ def hold_of_response(
 
     `sampled` are `Record.hold` and the step of what it was measured from. Where the records do not
     state it, or disagree, it is the longest step, as unstated. An output that is held as well, such
-    as the control in a response to the setpoint, is as late as the input: then there is nothing.
+    as the control in a response to the setpoint, is as late as the input, as without a hold.
     """
     records = list(sampled)
     if any(hold.get(output) for hold, _ in records):
-        return {}
+        return {HOLD: "0"}
     lasted = set()
     for hold, step in records:
         reading = intersample(hold.get(input, math.nan), step)

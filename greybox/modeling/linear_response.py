@@ -13,6 +13,7 @@ from greybox.data.checked_array import finite_numbers
 from greybox.data.files.arrays import Array, all_finite
 from greybox.data.files.named_values import Values
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import NO_HOLD
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import is_casadi
@@ -85,7 +86,13 @@ def frequency_response(
         )
 
     return FrequencyResponse(
-        omega, response, input=input, output=output, name=model.label, source="model"
+        omega,
+        response,
+        input=input,
+        output=output,
+        name=model.label,
+        source="model",
+        about={NO_HOLD: "0"},
     )
 
 

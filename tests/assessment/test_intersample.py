@@ -371,3 +371,39 @@ def test_margins_count_the_hold_of_a_fitted_response_once():
     fit = gb.fit(gb.Problem(LateLag(), data), starts=1, progress=False)
     truth = gb.margins(LateLag(), law)["phase margin"].value
     assert gb.margins(fit, law)["phase margin"].value == pytest.approx(truth, abs=1.0)
+
+
+class DelayedLag(gb.TransferFunction):
+    """A lag with a delay."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0, 10))
+    T = gb.Parameter(1.0, bounds=(0, 10), unit="s")
+    tau = gb.Parameter(0.05, bounds=(0, 1), unit="s")
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1) * gb.exp(-p.tau * s)
+
+
+@pytest.mark.parametrize(
+    ("about", "late"),
+    [
+        ({}, "up to 79 ms"),
+        ({"hold of the input not stated; sampling interval, s": "0.02"}, "10 ms"),
+        ({"hold of the input not stated; sampling interval, s": "0.0001"}, ""),
+        ({"hold of the input, s": "0.02"}, ""),
+        ({"hold of the input, s": "0"}, ""),
+    ],
+)
+def test_a_delay_of_a_response_whose_hold_nobody_states_is_in_doubt(about, late):
+    omega = np.geomspace(0.5, 20, 20)
+    random = np.random.default_rng(0)
+    errors = 1 + 0.01 * random.normal(size=(20, 2)) @ [1, 1j]
+    exact = 2 * np.exp(-0.1j * omega) / (0.5j * omega + 1)
+    data = gb.FrequencyResponse(omega, exact * errors, "u", "y", about=about)
+    fit = gb.fit(gb.Problem(DelayedLag(), data), starts=2, progress=False)
+    assert len(fit.warnings) == bool(late)
+    assert not late or f"contains half a sample, {late}, which" in fit.warnings[0]
+    # A model without a delay has nothing to doubt.
+    fixed = gb.Problem(DelayedLag(), data, fixed={"tau": 0.1})
+    assert not any("half a sample" in w for w in gb.fit(fixed, starts=2, progress=False).warnings)

@@ -71,6 +71,7 @@ def measured(model, omega, values=None, noise=0.0, seed=0, name="made", columns=
         input=exact.input,
         output=exact.output,
         name=name,
+        about=exact.about,
         **(columns or {}),
     )
 

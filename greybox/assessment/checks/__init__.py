@@ -35,6 +35,7 @@ own joins them by ``gb.fit(problem, checks=[*gb.CHECKS, mine])``.
 | `several_estimates` | Whether clearly different parameters give the same response |
 | `coarse_pade` | Whether the Padé approximation of a delay is accurate enough |
 | `delays_within_a_sample` | Whether a held response can show a delay |
+| `unstated_holds` | Whether a delay may contain half a sample of a hold that nobody states |
 | `unlikely_noise` | Whether the residuals are as large as the noise that was given with the data |
 | `narrow_modes` | Whether a mode is too narrow for the spectra |
 | `manoeuvre_errors` | Whether the errors of a manoeuvre look like turbulence |

@@ -46,6 +46,7 @@ from greybox.assessment.checks.unexplained import unexplained
 from greybox.assessment.checks.unexplained_outputs import unexplained_outputs
 from greybox.assessment.checks.unfinished_runs import unfinished_runs
 from greybox.assessment.checks.unlikely_noise import unlikely_noise
+from greybox.assessment.checks.unstated_holds import unstated_holds
 from greybox.assessment.checks.unused_noise import unused_noise
 from greybox.assessment.checks.wrapped_outputs import wrapped_outputs
 
@@ -80,6 +81,7 @@ CHECKS: tuple[Check, ...] = (
     several_estimates,
     coarse_pade,
     delays_within_a_sample,
+    unstated_holds,
     unlikely_noise,
     narrow_modes,
     manoeuvre_errors,

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.data.files.arrays import Array, positive_or_one
+from greybox.data.files.arrays import Array, IntArray, positive_or_one
 from greybox.data.files.grouping import grouped
 from greybox.engine.compiled.information import Information
 from greybox.engine.compiled.initial_states import at_samples
@@ -38,10 +38,13 @@ class RecordPart(SegmentedPart):
         substeps: int,
         *,
         covariance: ResidualCovariance | None = None,
+        samples_in_mean: int = 1,
     ) -> None:
         """Build the functions, or take those that the model has compiled before.
 
-        A `covariance` is that of a part with other data, since a worker has no criterion.
+        A `covariance` is that of a part with other data, since a worker has no criterion. Where the
+        outputs are means of some samples, their residuals correct the states as often as those of
+        the samples would.
         """
         scheme = model.method.scheme
         step = model.step(scheme, substeps)
@@ -58,6 +61,7 @@ class RecordPart(SegmentedPart):
             else residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
+        self.samples_in_mean = samples_in_mean
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
         self.is_logarithm = self.covariance.known is None and not model.driven
@@ -68,6 +72,14 @@ class RecordPart(SegmentedPart):
     def with_data(self, data: SampledData) -> "RecordPart":
         """Return the part with other samples."""
         return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
+
+    def of_means(self, data: SampledData, samples: int) -> "RecordPart":
+        """Return the part with data whose outputs are means of so many samples."""
+        part = RecordPart(
+            self.model, data, self.substeps, covariance=self.covariance, samples_in_mean=samples
+        )
+        part.noise_model = self.noise_model  # its gains are those of the samples
+        return part
 
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on evenly spaced excerpts with about this total number of samples."""
@@ -174,10 +186,19 @@ class RecordPart(SegmentedPart):
                 estimated = len(slope) - count
                 q[len(q) - count :] = steady.gain.ravel()
                 slope[estimated:] = steady.gain_slope.reshape(count, estimated) @ slope[:estimated]
+            if self.samples_in_mean > 1:
+                q[self._gain_places] *= self.samples_in_mean
+                slope[np.isin(self.model.active, self._gain_places)] *= self.samples_in_mean
 
             data, initial_slope = self.data_at(delay), by_active.reshape(self.states, len(slope))
             placed.append(Placed(q, slope, data, initial, initial_slope, steady))
         return placed
+
+    @cached_property
+    def _gain_places(self) -> IntArray:
+        """Return the places of the gains among the declared parameters."""
+        names = [f"K_{state}_{output}" for state, output in self.gains]
+        return np.flatnonzero(np.isin(self.model.parameters, names))
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:

@@ -436,6 +436,21 @@ def test_a_control_of_fewer_than_twelve_levels_rests_at_them_by_design(levels, r
     assert at_limit(u).any() == rests_at_limits
 
 
+@pytest.mark.parametrize("ramp", [0.02, 0.1, 0.3])
+def test_a_ramped_3211_rests_by_design(ramp):
+    time = 0.01 * np.arange(2000)
+    edges = 2.003 + np.array([0, 3, 5, 6, 7])
+    heights = np.array([1, -2, 2, -2, 1])
+    u = heights @ np.clip((time - edges[:, None]) / ramp, 0, 1)
+    assert not at_limit(u).any()
+    # Where an amplifier cuts a signal, that is a limit.
+    random = np.random.default_rng(0)
+    noise = np.cumsum(random.normal(size=2000))
+    for gain in (1.1, 1.5, 3, 5):
+        assert at_limit(np.clip(gain * np.sin(3 * time), -1, 1)).any()
+        assert at_limit(np.clip(gain * noise / np.abs(noise).max(), -1, 1)).any()
+
+
 def test_a_control_of_few_values_does_not_show_its_limits():
     """Steps of more than a two-thousandth of its travel."""
     for step, known in ((4.9e-4, True), (5.1e-4, False)):
