@@ -6,7 +6,7 @@ Every vehicle has 4, 6 or 8 rotors, .03 to 10 kg, rotor lags of .01 to .1 s, dra
 and moment that last longer than a sample, noise of gyroscope and accelerometer, and a controller of
 rates with a filter of the gyroscope. NumPy flies it at 1 kHz with equations of its own, and its log
 has the form of a Crazyflie's, with rounded commands. All parameters of the stages `rotors`, `roll
-and pitch`, `yaw` and `all at once` are compared with the truth, and with a plain regression of
+and pitch`, `at once` and `yaw` are compared with the truth, and with a plain regression of
 angular acceleration on thrust, which takes feedback for an effect of the commands.
 """
 
@@ -102,15 +102,17 @@ def flight(rotors, truth, seed):
         commands[:, k] = np.round(sent * 65535) / 65535
         rates[:, k] = measured
         rising = (commands[:, max(k - late, 0)] - w) / truth["T_rotor"]
+        # The mean of both ends: with the speed at the beginning, the air would be half a step late.
+        later = w + rising * truth["T_rotor"] * (1 - np.exp(-STEP / truth["T_rotor"]))
+        middle = (w + later) / 2
+        f = truth["c_1"] * middle + truth["c_2"] * middle**2
+        torque = np.array([y @ f, -x @ f, -d @ (truth["k_m"] * f + truth["h"] * rising)])
         f = truth["c_1"] * w + truth["c_2"] * w**2
-        torque = np.array(
-            [y @ f, -x @ f, -d @ (truth["k_m"] * f + truth["h"] * rising)], dtype=float
-        )
         turning = (torque - np.cross(omega, j * omega)) / j + gust
         lift = f.sum() + force - truth["a5_z"] * climb
         felt[:, k] = [0.0, 0.0, lift]
         felt[:, k] += 0.4 * random.normal(size=3)
-        w = w + rising * truth["T_rotor"] * (1 - np.exp(-STEP / truth["T_rotor"]))
+        w = later
         omega = omega + turning * STEP
         angle = angle + omega * STEP
         climb += (lift - gb.g) * STEP

@@ -1,4 +1,4 @@
-"""A multirotor from flight logs: rotors first, then the axes, then everything at once.
+"""A multirotor from flight logs: rotors first, then the axes, then both at once.
 
 The commands are known, and feedback makes them depend on earlier moments of the air, which the
 gyroscope has shown. Output error would take these for errors of the sensor; prediction error
@@ -120,11 +120,6 @@ def flight_stages(rotors, recordings):
         options |= {"criterion": gusts, "free": free, "bounds": bounds}
         return _several(model, flights, signals, **options)
 
-    def together(fits):
-        # A parameter that several parts share is free in all.
-        shared = ("c_0", "c_1", "T_delay", "s_z")
-        return thrust() + rates("pq", shared) + rates("r", (*shared, "h"), **FLAT)
-
     curve = ("T_rotor", "c_0", "c_1", "c_2")
     return (
         Stage(
@@ -145,27 +140,28 @@ def flight_stages(rotors, recordings):
             method,
         ),
         Stage(
+            "at once",
+            "rotors, roll and pitch from both sensors: the gyroscope may move the lag and the "
+            "thrust curve, for which the first stage is a prior with its covariance.",
+            lambda fits: rates(
+                "pq", ["T_delay", "c_0", "c_1"], prior=dict.fromkeys(curve, fits["rotors"])
+            ),
+            lambda fits: [_joined_estimates(fits, curve)],
+            method,
+        ),
+        Stage(
             "yaw",
-            "yaw moment and angular momentum of the rotors, with the values of both stages. They "
-            "rest on j_z = (0.93 ± 0.04) (j_x + j_y), as of flat vehicles, because no flight "
-            "determines j_z.",
+            "yaw moment and angular momentum of the rotors, with all values of the stage before "
+            "and their covariance. They rest on j_z = (0.93 ± 0.04) (j_x + j_y), as of flat "
+            "vehicles, because no flight determines j_z.",
             lambda fits: rates(
                 "r",
                 ["h", "s_z"],
-                fixed=dict.fromkeys((*curve, "j_x", "j_y", "T_delay"), fits["roll and pitch"]),
+                fixed=dict.fromkeys((*curve, "j_x", "j_y", "T_delay"), fits["at once"]),
                 **FLAT,
             ),
             1,
             method,
-        ),
-        Stage(
-            "all at once",
-            "all parameters from all signals, from the estimates of the stages.",
-            together,
-            lambda fits: [_joined_estimates(fits)],
-            method,
-            # Near its start it takes some ten iterations; one that does not end is no minimum.
-            {"max_iter": 40},
         ),
     )
 
@@ -173,8 +169,11 @@ def flight_stages(rotors, recordings):
 FLAT = {"prior": {"s_z": (0.93, 0.04)}}
 
 
-def _joined_estimates(fits):
-    return {name: fit.estimate[name] for fit in fits.values() for name in fit.free}
+def _joined_estimates(fits, curve):
+    """Return the rotor values of the first stage and all of the second as a start."""
+    rotors, axes = fits["rotors"], fits["roll and pitch"]
+    start = {name: rotors.estimate[name] for name in curve if name in rotors.free}
+    return start | {name: axes.estimate[name] for name in axes.free}
 
 
 def _several(model, flights, signals, **options):
