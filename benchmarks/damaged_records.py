@@ -2,7 +2,8 @@
 
 python benchmarks/damaged_records.py [--records 240] [--output FILE]
 
-Responses of records that have lost rows have the errors that they state.
+Jumps of a clock within a sweep are found where they matter; responses of records that have lost
+rows have the errors that they state.
 
 Second-order plants of random frequency and damping, driven in eight ways; outputs with noise from
 none to a fifth, rounded by counters, texts and single precision.
@@ -19,6 +20,7 @@ from scipy.signal import butter, cont2discrete, freqz, lfilter
 import greybox as gb
 from greybox.data.files.arrays import Array
 from greybox.data.signal_faults import signal_faults
+from greybox.data.sweep_jump import sweep_jump
 
 DRIVES = "noise sweep binary 3-2-1-1 sines levels rest limit".split()
 DAMAGES = "held interpolated clipped far-off frozen alternating".split()
@@ -108,6 +110,62 @@ def faults(records: int, output: TextIO) -> None:
         print(f"{damage}: {seen[damage]} of {records} named", file=output)
 
 
+def sweep(random: np.random.Generator, count: int, rate: float) -> tuple[Array, Array]:
+    """Return a linear or a logarithmic sweep (n,), and its frequency (n,) in rad/s."""
+    share, duration = np.arange(count) / count, count / rate
+    low, high = random.uniform(0.3, 1.5), random.uniform(10, 30)
+    is_linear = random.random() < 0.5
+    omega = low + (high - low) * share if is_linear else low * (high / low) ** share
+    return np.sin(np.cumsum(omega) * duration / count), omega
+
+
+def gusts(random: np.random.Generator, count: int) -> Array:
+    """Return slow noise (n,) of deviation 1."""
+    wind = lfilter(*butter(1, random.uniform(0.01, 0.1)), random.normal(size=count))
+    return wind / np.std(wind)
+
+
+def jumps(records: int, output: TextIO) -> None:
+    """Print in how many sweeps a jump of the clock is found, and in how many right ones."""
+    random = np.random.default_rng(2)
+    print(
+        "\njumps of a clock by 20 to 100 ms within a sweep: found at the right place", file=output
+    )
+    count, rate = 6000, 100.0
+    for case in ("noise .1 %", "noise 2 %", "noise 5 %", "gusts", "stiffening", "dead zone"):
+        accused, angles, found = 0, [], []
+        for _ in range(records // 3):
+            u, omega = sweep(random, count, rate)
+            force = u if case != "dead zone" else u - np.clip(u, -0.2, 0.2)
+            y = lfilter(*plant(random, rate, "foh"), force)
+            if case == "stiffening":
+                y = y + 0.4 * y * np.abs(y) / np.std(y)
+            if case == "gusts":
+                y = y + random.uniform(0.1, 1) * np.std(y) * gusts(random, count)
+            noise = {"noise 2 %": 0.02, "noise 5 %": 0.05}.get(case, 0.001)
+            y = y + noise * np.std(y) * random.normal(size=count)
+            accused += sweep_jump(u, y) is not None
+
+            rows, begin = (
+                int(random.choice([-10, -5, -2, 2, 5, 10])),
+                int(random.uniform(1200, 4800)),
+            )
+            late = np.r_[y[:begin], np.roll(y, rows)[begin:-10]]
+            jump = sweep_jump(u[: late.size], late)
+            angles.append(abs(rows) * omega[begin] / rate)
+            found.append(jump is not None and abs(jump.row - begin) < 100)
+        by_angle = []
+        for low, high in ((0, 0.1), (0.1, 0.3), (0.3, 10)):
+            within = [hit for hit, angle in zip(found, angles, strict=True) if low < angle <= high]
+            by_angle.append(
+                f"{sum(within):2} of {len(within):2} that turn it by {low} to {high} rad"
+            )
+        print(
+            f"{case:10}  {', '.join(by_angle)}; right ones accused: {accused} of {records // 3}",
+            file=output,
+        )
+
+
 def lost_rows(output: TextIO) -> None:
     """Print the errors of responses of 12 000 samples that have lost rows at random."""
     print(
@@ -141,12 +199,13 @@ def lost_rows(output: TextIO) -> None:
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--records", type=int, default=240)
     parser.add_argument("--output", type=argparse.FileType("w"), default=sys.stdout)
     options = parser.parse_args()
     faults(options.records, options.output)
+    jumps(options.records, options.output)
     lost_rows(options.output)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import greybox as gb
-from greybox.data.files.text_table import text_table
+from greybox.data.files.folded_text import folded
 from greybox.data.intersample import response_of_hold
 from greybox.data.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.data.logs.axis_signals import NAMES
@@ -384,35 +384,27 @@ class LoopOfLog:
             "notes": [*self.flown.notes, *self.notes],
         }
 
+    @property
+    def details(self):
+        """The controllers with the gains that flew."""
+        return str(self.flown)
+
     def __str__(self):
-        columns = (self.model, *self.measured)
-        names = [{m.name for m in answer.margins} for answer in columns]
-        rows = [
-            (m.name, m.unit, *(_with_interval(answer[m.name]) for answer in columns))
-            for m in columns[-1].margins
-            if all(m.name in answer for answer in names)
-        ]
-        header = ("broken at the control", "", "of the model", *(a.plant for a in self.measured))
+        measured = (f"By {a.plant}: {note}" for a in self.measured for note in a.notes)
         parts = [
-            self.flown,
+            self.model.beside(*self.measured),
+            *measured,
+            *self.others,
             self.check,
             *self.notes,
-            text_table(header, rows),
-            self.model,
-            *self.others,
+            *self.flown.notes,
         ]
-        measured = (f"By {a.plant}: {note}" for a in self.measured for note in a.notes)
-        return "\n\n".join(map(str, [*parts, *measured]))
+        return folded("\n\n".join(map(str, parts)))
 
 
 def _require_axis(axis):
     if axis not in AXES:
         raise ValueError(f"the axis {axis!r} is not one of {', '.join(AXES)}.")
-
-
-def _with_interval(row):
-    interval = f" ({row.low:.3g} to {row.high:.3g})" if math.isfinite(row.low) else ""
-    return "-" if math.isnan(row.value) else f"{row.value:.4g}{interval}"
 
 
 def flown_controllers(recording, fit, axis="", *, signals=None):

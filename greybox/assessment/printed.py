@@ -43,10 +43,12 @@ class Table(NamedTuple):
     left: tuple[int, ...]
 
 
-def text(fit: Any) -> str:
-    """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
-    parameters = parameter_table(fit)
-    table = text_table(parameters.header, parameters.rows, parameters.left)
+def text(fit: Any, table: str = "") -> str:
+    """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is.
+
+    A table of other numbers than the parameters stands in the place of theirs.
+    """
+    table = table or table_of_parameters(fit)
     remarks = []
     if fit.misfit:
         remarks += [cause.remedy for cause in fit.misfit.likely]
@@ -71,6 +73,12 @@ def text(fit: Any) -> str:
     )
     paragraphs = ["\n".join(lines) for lines in sections if lines]
     return titled(title(fit), ["\n\n".join(paragraphs)])
+
+
+def table_of_parameters(fit: Any) -> str:
+    """Return the table of all quantities as text."""
+    parameters = parameter_table(fit)
+    return text_table(parameters.header, parameters.rows, parameters.left)
 
 
 def details(fit: Any) -> str:

@@ -34,6 +34,8 @@ EXAMPLES = (
     "--resume results",
     "--status results",
 )
+# The options that people use; the help shows the others below them.
+USED = "--out --starts --seconds --workers --status --resume"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = """
 study STUDY

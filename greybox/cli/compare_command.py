@@ -27,7 +27,7 @@ results RESULT...
     fits of the same data, as greybox fit --out saves them, or the folder of a study
 --model
 {HELD_OUT}
---by FACTOR
+--by WHAT
     compare the values of this factor over the data sets of a study: model, criterion, delay, ...;
     or of several, such as model,fixed
 --csv FILE

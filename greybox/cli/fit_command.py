@@ -41,6 +41,8 @@ EXAMPLES = (
     "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed "
     "--method collocation",
 )
+# The options that people use; the help shows the others below them.
+USED = "--model --data --columns --fix --free --bounds --criterion --starts --out --plot"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 {PROBLEM_OPTIONS}
@@ -65,6 +67,7 @@ OPTIONS = f"""
 --plot FILE
     draw responses, time histories and starts into this png, pdf or svg file
 --hz
+--details
 --force
 """
 
@@ -157,5 +160,5 @@ def _answer(
         notes.append(f"the last runs are not stored: {stored.trouble}")
     if stored is not None and stored.count:
         notes.append(f"the same command continues with {counted(stored.count, 'run')}")
-    details = ["", result.details] if result.converged else []
+    details = ["", result.details] if options.details and result.converged else []
     return answer, str(result), *details, *notes

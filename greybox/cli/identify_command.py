@@ -27,6 +27,8 @@ EXAMPLES = (
     "first.BIN second.BIN --fix T_delay=0.004",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
+# The options that people use; the help shows the others below them.
+USED = "--input --output --axis --band --columns --structures --fix --bounds --out --details"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 logs LOG...
@@ -58,6 +60,7 @@ logs LOG...
     first part of the names of response, result and figure (default: the name of the log, in this
     folder)
 --hz
+--details
 --force
 """
 
@@ -85,6 +88,8 @@ def run(options: argparse.Namespace) -> Answer:
     )
     answer = _json(identification)
     text = [str(identification)]
+    if options.details and identification.selection is not None:
+        text += ["", identification.details]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
     if selection is None:

@@ -12,6 +12,7 @@ from greybox.data.excited_segment import Segments, segment_table
 from greybox.data.files.named_values import attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.text_table import text_table
+from greybox.data.files.wording import listed
 from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.manoeuvre_detection import find_manoeuvres
 from greybox.data.logs.segment_detection import announcing, find_segments
@@ -82,15 +83,22 @@ def faults_of_table(recording: Recording) -> tuple[str, ...]:
     if len(recording) != 1:
         return ()
     (record,) = recording.values()
-    texts = []
+    names_by_text: dict[str, list[str]] = {}
     for name in record.signals:
         certain = record_faults(record, (), (name,))
-        texts += map(str, certain)
+        texts = [*map(str, certain)]
         # Where a hold is stated, the signal is known to be an input.
         if not certain and not record.hold.get(name):
             faults = record_faults(record, (name,))
             texts += [f"{fault} If it is an input, this may be right." for fault in faults]
-    return tuple(texts)
+        for text in texts:
+            names_by_text.setdefault(text.removeprefix(name), []).append(name)
+    # A logger treats its signals alike.
+    said = []
+    for text, (first, *others) in names_by_text.items():
+        likewise = f" (likewise {listed(others)})" if others else ""
+        said.append(f"{first}{likewise}{text}")
+    return tuple(said)
 
 
 def _tests(recording: Recording, segments: Segments, manoeuvres: Segments) -> str:

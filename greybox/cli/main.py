@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
+from greybox.cli.options import COMMON, FORMS, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, write_answer
 from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.version import __version__
@@ -155,7 +155,14 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         # Modules of commands import solvers and readers: import only the one that is needed.
         if name in commands:
             module = import_module(f"greybox.cli.{name}_command")
-            declare(command, module.OPTIONS + COMMON)
+            used = getattr(module, "USED", "").split()
+            declare(command, module.OPTIONS + COMMON, used)
+            # All options would take twenty lines.
+            words = [
+                FORMS.get(a.nargs, "{}").format(a.metavar)
+                for a in command._get_positional_actions()
+            ]
+            command.usage = " ".join([f"greybox {name}", *words, "[option ...]"])
             command.set_defaults(command=module.run)
             examples = (f"  greybox {name} {example}".rstrip() for example in module.EXAMPLES)
             command.epilog = "\n".join(["examples:", *examples])

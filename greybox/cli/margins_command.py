@@ -34,6 +34,8 @@ CONTROLLER_OPTIONS = """
 --signals OWN=PLANT...
     a signal of a controller and its name in the plant, e.g. q=theta_dot
 """
+# The options that people use; the help shows the others below them.
+USED = "--log --controller --set --rate --signals --axis --broken-at --plot --report --details"
 OPTIONS = f"""
 results RESULT...
     a fit that greybox fit --out wrote, or the folder of a study; several, such as operating
@@ -62,7 +64,8 @@ results RESULT...
     draw the loop, broken at the first signal, into this png, pdf or svg file
 --hz
 --report FILE
-    write a page about the fits with their margins, as greybox report does
+    write a page about the fits or measured loops with their margins, as greybox report does
+--details
 --force
 """
 
@@ -80,10 +83,8 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tables = [name for name, item in fits.items() if not isinstance(item, Fit)]
     others = len(fits) > len(tables)
-    if tables and (others or options.log or options.report):
-        raise UsageError(
-            f"{tables[0]} is a measured loop: fits, --log and --report do not go with it."
-        )
+    if tables and (others or options.log):
+        raise UsageError(f"{tables[0]} is a measured loop: fits and --log do not go with it.")
     settings = attributes(options, "tracking", "at", "level", "boundary")
     first = next(iter(fits.values()))
     wrong = ""
@@ -101,7 +102,7 @@ def run(options: argparse.Namespace) -> Answer:
         )
         loops = [flown.model, *flown.others]
         answer = flown.to_dict()
-        text = [str(flown)]
+        text = [str(flown), *([flown.details] if options.details else [])]
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:
@@ -123,7 +124,7 @@ def run(options: argparse.Namespace) -> Answer:
     if options.report:
         from greybox.reporting.html_report.report import report  # noqa: PLC0415  (slow import)
 
-        report([*fits.values()], options.report, margins=loops)
+        report([] if tables else [*fits.values()], options.report, margins=loops)
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
 

@@ -4,12 +4,13 @@ import argparse
 import contextlib
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from greybox.data.files.arrays import Interval
+from greybox.data.files.folded_text import WIDTH
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """
@@ -19,6 +20,8 @@ SHARED = """
     print one JSON object on standard output and nothing else
 --quiet
     print only errors: no answer as text, no progress
+--details
+    also print what the answer rests on: every step, table and structure
 --debug
     show the traceback of an error
 --hz
@@ -66,14 +69,27 @@ class UsageError(Exception):
     """A mistake on the command line, in one sentence."""
 
 
-# Help has the meaning next to most options, and examples as they are written.
-HelpFormatter = partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
+# How a help shows that a value may be absent or repeated.
+FORMS: dict[Any, str] = {"?": "[{}]", "*": "[{}]...", "+": "{}..."}
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Shows several values as ``NAME=VALUE...``, and examples as they are written."""
+
+    def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
+        if action.nargs in FORMS:
+            return FORMS[action.nargs].format(action.metavar or default_metavar)
+        return super()._format_args(action, default_metavar)
+
+
+# Help has the meaning next to most options.
+HelpFormatter = partial(_Formatter, max_help_position=26, width=WIDTH)
 
 
 # --- how options are stated
 
 
-def declare(parser: argparse.ArgumentParser, text: str) -> None:
+def declare(parser: argparse.ArgumentParser, text: str, used: Collection[str] = ()) -> None:
     """Declare the options of a text, which states them as the help shows them.
 
     The first line of an option has its name and what follows it: ``--level P`` a value,
@@ -82,19 +98,21 @@ def declare(parser: argparse.ArgumentParser, text: str) -> None:
     by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help:
     its ``(default: 0.95)`` sets the default, ``(required)`` makes the option required, and
     ``(repeatable)`` collects the values of its repetitions. An option without help is one of
-    `SHARED`.
+    `SHARED`. Where the names of the options that people use are given, the others stand below them.
     """
     shared = {block.split()[0]: block for block in _blocks(SHARED)}
+    others = parser.add_argument_group("more options") if used else parser
     for block in _blocks(text):
         syntax, _, about = (block if "\n" in block else shared[block]).partition("\n")
         name, *words = syntax.split()
         about = " ".join(about.split())
+        group = parser if name in used or not name.startswith("-") else others
         settings = _settings(words, about)
         if "(required)" in about:
             settings["required"] = True
         if "(repeatable)" in about:
             settings |= {"action": "append", "default": []}
-        parser.add_argument(name, help=about, **settings)
+        group.add_argument(name, help=about, **settings)
 
 
 def _blocks(text: str) -> list[str]:

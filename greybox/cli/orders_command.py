@@ -17,6 +17,8 @@ EXAMPLES = (
     "pitch_response.csv --n 2 3 4 --integrators 1 --no-delay --out chosen.h5",
     "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
 )
+# The options that people use; the help shows the others below them.
+USED = "--n --m --integrators --no-delay --columns --fix --bounds --out"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 responses RESPONSE...

@@ -9,6 +9,7 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.terminal import write
+from greybox.data.files.folded_text import folded
 from greybox.data.files.json_numbers import plain
 from greybox.data.files.safe_files import replacing
 
@@ -30,6 +31,7 @@ def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int =
         status = status or (INTERRUPTED if error.startswith("interrupted") else FAILED)
         write(f"greybox: {error}", sys.stderr)
 
+    text = folded(text)
     if as_json and result:
         # JSON leaves this control character as it is.
         text = json.dumps(plain(result), allow_nan=False).replace("\x7f", "\\u007f")

@@ -21,6 +21,8 @@ EXAMPLES = (
     "flight.csv --input u --output theta --whole --band 1 40",
     "flight.csv --input da dr --output p r --period 20 --instrument e_a e_r --out matrix.csv",
 )
+# The options that people use; the help shows the others below them.
+USED = "--input --output --instrument --axis --band --tests --period --columns --out --plot"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 log LOG

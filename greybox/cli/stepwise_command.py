@@ -13,6 +13,8 @@ EXAMPLES = (
     "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",
     "my.py --candidates k_v k_vv exponent=1 --out chosen.h5",
 )
+# The options that people use; the help shows the others below them.
+USED = "--model --data --columns --candidates --fix --free --bounds --criterion --starts --out"
 # The options as their help shows them: see `declare` of `greybox.cli.options`.
 OPTIONS = f"""
 {PROBLEM_OPTIONS}

@@ -24,6 +24,8 @@ EXAMPLES = (
     "light.h5 heavy.h5 --controller my.py:Loop --gains K_P=0.05:0.5 "
     "--names K_P=ATC_RAT_PIT_P --parameters pitch.param",
 )
+# The options that people use; the help shows the others below them.
+USED = "--log --axis --gains --range --phase-margin --gain-margin --parameters --plot --report"
 OPTIONS = f"""
 fits RESULT...
     saved fits, one for each flight

@@ -12,7 +12,7 @@ Begin with `record` and `frequency_response`.
 | `intersample` | signals between their samples: held or continuous |
 | `signal_faults`, `saturation` | what a logger did to samples; samples at a limit |
 | `repetition` | the period of a signal that repeats itself |
-| `clock_jump` | where an output becomes later than its input, or changes its sign |
+| `clock_jump`, `sweep_jump` | where an output becomes later than its input, or changes its sign |
 | `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
 | `headings` | the grammar of headers: names, units, indices, holds |

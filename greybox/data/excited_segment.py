@@ -123,14 +123,18 @@ def segment_table(segments: Segments) -> str:
         times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, periods)
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
+    if not rows:
+        return "no excited segment was found"
     # Findings are sentences, too long for a column.
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
-
-    return (
-        "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes])
-        if rows
-        else "no excited segment was found"
-    )
+    # The tests of one flight often have one axis and one source.
+    columns: dict[str, Sequence[str]] = dict(zip(header, zip(*rows, strict=True), strict=True))
+    common = [name for name in ("axis", "source") if len({*columns[name]}) == 1 < len(rows)]
+    said = [f"{name} {columns[name][0]}" for name in common if columns[name][0]]
+    notes += [f"all: {', '.join(said)}"] if said else []
+    shown = {name: column for name, column in columns.items() if name not in common}
+    left = [k for k, name in enumerate(shown) if name in ("kind", "axis", "source")]
+    return "\n".join([text_table([*shown], [*zip(*shown.values(), strict=True)], left), *notes])
 
 
 def checked_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:

@@ -21,6 +21,7 @@ from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.wording import counted
 from greybox.data.record import Record
 from greybox.data.saturation import at_limit
+from greybox.data.sweep_jump import sweep_jump
 
 # Fewer samples show no pattern.
 FEWEST = 100
@@ -180,23 +181,23 @@ def record_faults(
 
 
 def _jumped(record: Record, command: str, output: str) -> Iterator[SignalFault]:
-    """Look for a clock, or a sign, that changes where both sides excite the same frequencies."""
+    """Look for a clock, or a sign, that changes in mid-record."""
     u, y = record[command], record[output]
     measured = np.flatnonzero(np.isfinite(u) & np.isfinite(y))
-    jump = clock_jump(u[measured], y[measured])
+    jump = clock_jump(u[measured], y[measured]) or sweep_jump(u[measured], y[measured])
     if jump is None:
         return
     begin = number(float(record.time[measured[jump.row]]), 4)
     later = jump.later * record.step
     kind, what, cause = "reversed", "has the other sign", "its sign was changed"
     if jump.sign > 0:
-        kind, cause = "later", "a clock jumped, or rows of one signal were lost"
+        kind, cause = "later", "a clock jumped, rows of one signal were lost, or the plant changed"
         what = f"is {number(abs(later), 3)} s {'later' if later > 0 else 'earlier'}"
     yield SignalFault(
         output,
         kind,
         f"{output} {what} from about {begin} s on than before, against {command}: {cause}",
-        "Use the record on one side of it, record.between(START, END).",
+        "Use one side of it: record.between(START, END), or split the file there.",
         NONE,
     )
 

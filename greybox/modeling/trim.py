@@ -25,31 +25,33 @@ from greybox.modeling.symbolic_reading import (
 )
 from greybox.modeling.traced_once import once
 
-TOLERANCE = 1e-9  # on the derivative at a trim, relative to the states and inputs there
+TOLERANCE = 1e-9  # on the derivative at an operating point, relative to its states and inputs
 
 
 @frozen
 class Trimmed:
-    """A function of an operating point in two steps; only the first needs an iteration.
+    """A function that depends on an operating point, in two steps.
+
+    Only the first step, which finds the operating point, is an iteration.
 
     Attributes
     ----------
     root : casadi.Function or None
-        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None without unknowns, when
-        w is empty.
+        (p) -> the unknown states and inputs w, from ``derivative = 0`` by Newton's method. None
+        without unknowns; w is then empty.
     function : casadi.Function
         (p, w, ...) -> the result, an SX function or one mapped over frequencies. Its first and
-        second derivatives with respect to p, with w held, are those at the operating point: from a
-        root, one step of Newton's method has the first derivatives of the root, a second step the
-        second ones. They take a fraction of the time of CasADi's derivatives through its root
-        finder.
+        second derivatives by p, with w held constant, are those at the operating point, because it
+        contains two further steps of Newton's method: one step from a root has the first
+        derivatives of the root, a second step also the second ones. This takes a fraction of the
+        time of CasADi's derivatives through its root finder.
     """
 
     root: ca.Function | None
     function: ca.Function
 
     def closed(self) -> ca.Function:
-        """Return the function of (p, ...), with the operating point inside."""
+        """Return the function of (p, ...), which finds the operating point itself."""
         symbols: Any = self.function.mx_in() if self.root else input_symbols(self.function)
         p, w, *arguments = symbols
         w = w if self.root is None else self.root(p)
@@ -61,11 +63,14 @@ class Trimmed:
 def trim_of(model: Model, at: Values) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
-    A transfer function has no states, and rests without an input. The point of an ODE is the first
-    of these: the result of the model's own `trim`; the origin, or where the states are declared to
-    begin, if it is an equilibrium for all parameter values (so that a hover, where
-    ``C_x |v| v = 0`` has a double root, has finite derivatives); the solution of
-    ``derivative = 0``, differentiated by the implicit function theorem.
+    A transfer function has no states; its input is zero. The point of an ODE is the first of these
+    that applies:
+
+    1. the result of the model's own `trim`;
+    2. the origin, or the states where the model declares that they begin, if this is an equilibrium
+       for all parameter values. A hover, where ``C_x |v| v = 0`` has a double root, then has finite
+       derivatives;
+    3. the solution of ``derivative = 0``, differentiated by the implicit function theorem.
 
     Raises
     ------
@@ -86,19 +91,27 @@ def trim_of(model: Model, at: Values) -> Trimmed:
 
     starts = dict(zip(model.states, state_starts(model, parameter_names(model, p)), strict=True))
     point = [at.get(name, starts.get(name, 0.0)) for name in model.resting_signals]
-    closed = _closed_form(model, p, point)
-    # Whether this is an equilibrium for all parameters, by eight random draws.
-    derivative = derivative_function(model)
-    random = np.random.default_rng(0)
-    draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
-    at_draws = (derivative(ca.vertcat(*closed.function(draw, [])), draw).full() for draw in draws)
-    if all(np.all(np.abs(values) < 1e-12) for values in at_draws):
-        return closed
+    at_rest = _closed_form(model, p, point)
+    if _is_equilibrium(model, at_rest):
+        return at_rest
 
     return _implicit_trim(model, at)
 
 
+def _is_equilibrium(model: StateSpace, trim: Trimmed) -> bool:
+    """Return whether a point is an equilibrium for all parameters, judged by eight random draws."""
+    derivative = derivative_function(model)
+    random = np.random.default_rng(0)
+    for _ in range(8):
+        values = [parameter.draw(random) for parameter in model.parameters.values()]
+        point = ca.vertcat(*trim.function(values, []))
+        if not np.all(np.abs(derivative(point, values).full()) < 1e-12):
+            return False
+    return True
+
+
 def _closed_form(model: Model, p: ca.SX, point: Sequence[Any]) -> Trimmed:
+    """Return a point, states and then inputs as expressions of p, as an operating point."""
     n = len(model.state_names)
     owner = f"{model.label}.trim"
     return Trimmed(
@@ -108,6 +121,7 @@ def _closed_form(model: Model, p: ca.SX, point: Sequence[Any]) -> Trimmed:
 
 
 def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
+    """Return the operating point that the model's own `trim` states, and check it at the starts."""
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
@@ -135,6 +149,7 @@ def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
 
 
 def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
+    """Return the operating point where the derivative is zero, by Newton's method."""
     names = model.resting_signals
     z, p = symbols(model)
     derivative = derivative_function(model)(z, p)
@@ -164,7 +179,7 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     parameters = ca.MX.sym("p", p.numel())
     direct = newton(x0=guess, p=parameters)["x"]
     start = ca.DM(start_values(model.parameters))
-    # If this does not converge, the parameters move from their start values in ten steps.
+    # If this fails, the parameters move from their start values in ten steps (continuation).
     root = ca.MX(ca.DM(guess))
     for step in range(1, 11):
         root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]
@@ -172,8 +187,8 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     in_steps = ca.Function("in_steps", [parameters], [root])
     root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
 
-    # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
-    # so that the run fails instead of using it.
+    # Two more steps have the derivatives of the root, see `Trimmed`. If there is no root, the point
+    # becomes infinite, so that a run fails instead of using it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
     full = ca.substitute(point, w, step(step(w, p), p)) / is_root(w, p)
     n = len(model.states)
@@ -186,26 +201,31 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
 def _presolve(
     model: StateSpace, at: Values, residual: ca.Function, unknown: Sequence[str]
 ) -> tuple[Array, list[int]]:
-    """Solve the trim at the start values; return it and as many independent equations."""
+    """Return the operating point at the start values, and the equations that determine it.
+
+    These are the unknown states and inputs w (size,), and the numbers of as many independent rows
+    of the derivative. `residual` is (w, p) -> the derivative and its Jacobian by w.
+    """
     start = start_values(model.parameters)
     size = residual.size1_in(0)
     random = np.random.default_rng(0)
-    # Zero itself is left out: kinks and roots have no slope there.
-    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]
-    guesses += list(random.normal(0, 3, (15, size)))
-    # First with the states where the model declares that they begin.
+    # Zero is no guess: kinks and roots have no slope there.
+    plain = [np.full(size, value) for value in (0.1, 1.0, -0.1, -1.0, 10.0)]
+    guesses = [*plain, *random.normal(0, 3, (15, size))]
+    # If the model declares where states begin, the plain guesses are first tried with these.
     values = model.values(None)
     starts = dict(zip(model.states, state_starts(model, Names(values, model.label)), strict=True))
     declared = [k for k, name in enumerate(unknown) if name in model.state_starts]
-    for guess in guesses[: 5 if declared else 0][::-1]:
-        near = guess.copy()
-        near[declared] = [float(starts[unknown[k]]) for k in declared]
-        guesses.insert(0, near)
+    if declared:
+        with_starts = np.array(plain)
+        with_starts[:, declared] = [float(starts[unknown[k]]) for k in declared]
+        guesses = [*with_starts, *guesses]
 
     for guess in guesses:
         root = guess
-        # At a double root a Newton step only halves the distance: 60 steps reach rounding. Longer
-        # steps than the size of the point would leave the nearest root.
+        # At a double root a Newton step only halves the distance: 60 steps are enough to reach
+        # rounding. Steps are not longer than the size of the point, so that they lead to the
+        # nearest root.
         for _ in range(60):
             derivative, jacobian = residual(root, start)
             derivative = np.nan_to_num(np.asarray(derivative))
@@ -216,12 +236,12 @@ def _presolve(
         if not np.abs(derivative).max(initial=0) <= TOLERANCE * (1 + np.abs(root).max(initial=0)):
             continue
 
-        # A pivot counts as zero if it is as small as the rounding of the largest one, or far
-        # smaller than at a nearby point, as at a double root.
+        # The point is singular if the smallest pivot is as small as the rounding of the largest
+        # one, or far smaller than at a nearby point, as at a double root.
         pivots, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
-        if pivots.size and pivots.min() < max(
-            1e-9 * pivots.max(), 1e-6 * np.nan_to_num(nearby).min()
+        if pivots.size and (
+            pivots.min() < 1e-9 * pivots.max() or pivots.min() < 1e-6 * np.nan_to_num(nearby).min()
         ):
             raise ValueError(
                 f"{model.label} at {dict(at)} has a singular operating point (its derivative does "
@@ -237,7 +257,7 @@ def _presolve(
 
 
 def _pivots(jacobian: ca.DM) -> tuple[Array, IntArray]:
-    """Return the pivots of a Jacobian, largest first, and the order of its rows."""
+    """Return the pivots of a Jacobian (rows, w), largest first, and the order of its rows."""
     from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
 
     result: Any = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from unfinished_runs import without_continued_runs
+from unfolded import unfolded
 
 import greybox as gb
 
@@ -71,7 +72,7 @@ def test_the_best_end_is_given_without_errors_with_what_blocks_it():
     # The gain belongs at twice its upper bound, and nothing shows the mass.
     assert any(text.startswith("k ended at a bound") for text in blocking)
     assert any(text.startswith("mass is not determined") for text in blocking)
-    said = str(fit)
+    said = unfolded(fit)
     assert all(text in said for text in fit.warnings)
     assert "best effort, no estimate" in said
     # From there the rest is found.

@@ -5,6 +5,8 @@ import pytest
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 LEVELS = 12
 NAMES = tuple(f"h{k + 1}" for k in range(LEVELS))
 

@@ -9,6 +9,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.stats import t as student
+from unfolded import unfolded
 
 import greybox as gb
 from greybox.assessment.profile import likelihood_factor
@@ -346,8 +347,8 @@ def test_an_interval_in_words(interval, ends, at_bound, connected, said):
     one = replace(one, at_bound=at_bound, connected=connected)
     assert str(one) == said
     found = Profiles("step", 0.9, {"T": 1.7}, ("T",), (one,), ("a profile found more",))
-    assert str(found) == (
-        f"step: 90 % intervals by profile likelihood\n\n  T         1.5   {said}\n  warning: a profile found more"
+    assert unfolded(found) == (
+        f"step: 90 % intervals by profile likelihood T 1.5 {said} warning: a profile found more"
     )
     low, high = (None if np.isinf(value) else value for value in interval)
     assert found.intervals_in_words() == {"T": {"low": low, "high": high, "text": said}}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from calibration_rows import Lag, Line, Parabola, least_squares, rows
 from scipy.stats import f as f_distribution, t as student_t
+from unfolded import unfolded
 
 import greybox as gb
 
@@ -60,14 +61,14 @@ def test_several_outputs_have_variances_of_their_own():
 
 def test_what_is_printed_says_rows_and_nothing_of_time(tmp_path):
     fit = fitted(Line(), rows())
-    text = str(fit)
+    text = unfolded(fit)
     assert "14 rows without a time in 1 record" in text
     assert "for independent errors of equal variance in each output" in text
     for word in ("autocorrelation", "PredictionError", "interpolated", "held", "sample"):
         assert word not in text
     gb.save(fit, tmp_path / "rows.h5")
     loaded = gb.load(tmp_path / "rows.h5")
-    assert str(loaded) == text
+    assert unfolded(loaded) == text
     assert not loaded.records[0].data.has_time
 
 

@@ -12,7 +12,7 @@ from greybox.models.tilt import Tilt
 def test_list_names_every_shipped_problem_and_model(capsys):
     status, out, _ = run(capsys, "list")
     assert status == 0
-    for name in ("pitch_hover", "rotors", "tilt:Tilt", "yaw:YawStates", "rigid_body:RigidBody"):
+    for name in ("pitch_hover", "rotors", "tilt:Tilt", "yaw:YawStates", "multirotor:RigidBody"):
         assert name in out
     answer = json.loads(run(capsys, "list", "--json")[1])
     assert all("$$" in model["about"] for model in answer["models"])

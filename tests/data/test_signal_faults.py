@@ -111,6 +111,34 @@ def test_a_clock_or_a_sign_that_changes_in_mid_record_is_named(drive):
         assert fault.kind == "reversed"
 
 
+def test_a_clock_that_jumps_within_a_sweep_is_named():
+    """Each frequency is excited once, so both sides share none; the right sweeps are above."""
+    time = np.arange(COUNT) / RATE
+    for seed, rows in itertools.product(range(4), (-10, 5, 10)):
+        u, y = motion(seed, (0.001, 0.02)[seed % 2], "sweep")
+        begin = 1500 + 500 * (seed % 3)
+        late = np.r_[y[:begin], np.roll(y, rows)[begin:-10]]
+        record = gb.Record(time[: late.size], {"u": u[: late.size], "y": late})
+        (fault,) = record_faults(record, ["y"], ["u"])
+        assert fault.kind == "later"
+        word = "later" if rows > 0 else "earlier"
+        shift, place = re.search(rf"y is (\S+) s {word} from about (\S+) s", str(fault)).groups()
+        assert float(shift) == pytest.approx(abs(rows) / RATE, rel=0.3)
+        assert float(place) == pytest.approx(begin / RATE, abs=1)
+
+
+def test_a_sweep_in_wind_or_of_a_nonlinear_plant_is_no_jump_of_a_clock():
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        u, y = motion(seed, 0.001, "sweep")
+        wind = lfilter(*butter(1, 0.02), random.normal(size=COUNT))
+        gusty = y + 0.5 * np.std(y) / np.std(wind) * wind
+        stiff = y + 0.4 * np.abs(y) * y
+        for output in (gusty, stiff):
+            record = gb.Record(np.arange(COUNT) / RATE, {"u": u, "y": output})
+            assert record_faults(record, ["y"], ["u"]) == ()
+
+
 def test_a_plant_that_changes_is_no_jump_of_a_clock():
     """A mass that halves, and a second input that takes over."""
     time = np.arange(COUNT) / RATE

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import t as t_distribution
 
 import greybox as gb
-from greybox.models.mixer import Mixer, Torques
+from greybox.models.multirotor import Mixer, Torques
 from greybox.models.tilt import PAPER_G, Tilt
 from greybox.problems import (
     nanobench_drag,

@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 GRID = np.linspace(-20, 20, 801)
 TRUTH = {"k": 2.0, "a": 0.8}
 

@@ -6,6 +6,8 @@ from scipy.signal import lsim
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 LATENCY = 0.06
 
 

@@ -10,7 +10,7 @@ from two_tanks import AT, Tanks
 import greybox as gb
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import pick_signals
-from greybox.models.mixer import Torques
+from greybox.models.multirotor import Torques
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 OMEGA = np.geomspace(0.3, 40, 12)

@@ -111,11 +111,10 @@ def test_nothing_that_a_file_names_is_imported(name, monkeypatch):
 
 
 def nested(depth):
-    stored = reference(Rotor())
+    product, rotor = reference(Rotor() * Integrator()), reference(Rotor())
+    stored = rotor
     for _ in range(depth):
-        stored = reference(Rotor() * Integrator()) | {
-            "arguments": [{"model": stored}, {"model": reference(Rotor())}]
-        }
+        stored = product | {"arguments": [{"model": stored}, {"model": rotor}]}
     return stored
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.modeling.trim import trim_of
-from greybox.models.mixer import Torques
+from greybox.models.multirotor import Torques
 from greybox.models.tilt import PAPER_G, NonlinearTilt
 from greybox.models.yaw import YawStates
 

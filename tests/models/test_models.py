@@ -18,10 +18,9 @@ from greybox.models.coupled import (
     DampedCoupledVelocityTransfer,
     LaggedCoupledVelocity,
 )
-from greybox.models.mixer import LimitedMixer, Mixer, Torques
+from greybox.models.multirotor import EulerKinematics, LimitedMixer, Mixer, RigidBody, Torques
 from greybox.models.polynomial import Polynomial
 from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
-from greybox.models.rigid_body import EulerKinematics, RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawAngle, YawRate, YawStates
@@ -118,10 +117,17 @@ def test_numbers_casadi_and_rational_form_agree(model, at, delay):
             numbers = response(model, values, delay=delay, **options)
             assert_allclose(compiled(values), numbers, rtol=1e-12)
             form = gb.modeling.rational(model, values, pade=delay_order(delay), **options)
-            assert_allclose(form(1j * OMEGA), numbers, rtol=1e-10)
+            # Rounding moves multiple poles, such as those of four equal rotors.
+            assert_allclose(
+                form(1j * OMEGA), numbers, rtol=1e-8 if "w_2" in model.state_names else 1e-10
+            )
 
 
-@pytest.mark.parametrize("model", [m for m, _ in CASES if "T_delay" in m.parameters], ids=repr)
+@pytest.mark.parametrize(
+    "model",
+    [m for m, _ in CASES if "T_delay" in m.parameters and m.parameters["T_delay"].start],
+    ids=repr,
+)
 def test_a_pade_reading_is_close_to_the_exact_delay_and_has_none_itself(model):
     for u, y in input_output_pairs(model):
         pair = {"input": u, "output": y}

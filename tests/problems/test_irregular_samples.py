@@ -8,6 +8,8 @@ from scipy.optimize import least_squares
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RANDOM = np.random.default_rng(0)
 TIMES = np.sort(RANDOM.uniform(0, 10, 60))
 

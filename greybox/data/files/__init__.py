@@ -15,6 +15,7 @@ Begin with `arrays` and `argument_checks`, which nearly all other files use.
 | `wording` | names and counts as words of a sentence |
 | `greek_letters` | Greek letters for the names of parameters and signals |
 | `text_table` | tables in a terminal |
+| `folded_text` | long lines of answers, folded at blanks |
 | `printed` | values that print themselves, also in notebooks |
 | `control_characters` | control characters in names and texts, written out |
 | `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |

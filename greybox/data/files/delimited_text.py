@@ -35,6 +35,10 @@ WIDER = ", or, if its numbers have decimal commas, separate cells by semicolons"
 UNIT_OF_NAME = re.compile(r"\s+([\[({<][^\[\](){}<>]*[\])}>])")
 NO_BREAK = "\xa0"
 DATE_OR_TIME = re.compile(r"\d+[-:/]\d+[-:/]\d+[\d:.TZ+-]*")
+# LabVIEW ends its settings with this line; the last name below it has no cells in most rows.
+LABVIEW_END, LABVIEW_COMMENT = "***End_of_Header***", re.compile(r"[\t,]Comment\s*$")
+# Fortran writes the exponents of double precision with a D.
+FORTRAN = re.compile(r"(?<=\d\.\d)(\d*)[dD]([+-]\d{2,3})\b")
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
@@ -163,6 +167,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
             f"{path} is not a CSV text file, since it contains zero bytes: save it as UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _without_labview_settings(lines)
     body = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not body:
         raise ValueError(
@@ -215,14 +220,23 @@ def write_delimited(
 
 
 def _decoded(raw: bytes) -> str:
-    """Return the text, from Unicode or a Western encoding, with plain minus signs."""
+    """Return the text, from Unicode or a Western encoding, with plain minus signs and exponents."""
     # Every text is valid Latin-1: it comes last. `float` does not read typographic minus signs.
     for encoding in ("utf-16",) if raw.startswith(UTF_16) else ("utf-8-sig", "cp1252"):
         try:
-            return raw.decode(encoding).replace("\u2212", "-")
+            return FORTRAN.sub(r"\1E\2", raw.decode(encoding).replace("\u2212", "-"))
         except UnicodeDecodeError:
             continue
     return raw.decode("latin-1")
+
+
+def _without_labview_settings(lines: list[str]) -> list[str]:
+    """Return the lines with blank ones for the settings of LabVIEW; others as they are."""
+    ends = [k for k, line in enumerate(lines[:200]) if line.startswith(LABVIEW_END)]
+    if not ends:
+        return lines
+    names, *rows = lines[ends[-1] + 1 :] or [""]
+    return [""] * (ends[-1] + 1) + [LABVIEW_COMMENT.sub("", names), *rows]
 
 
 def _is_comment(line: str) -> bool:

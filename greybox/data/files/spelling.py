@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from greybox.data.files.escapes import sentence
 from greybox.data.files.grouping import unique
 
+MOST = 60  # names in a message
+
 
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """Return the known name most like a misspelled one; None if no known name resembles it."""
@@ -20,4 +22,7 @@ def alternatives(name: object, names: Iterable[str]) -> str:
     # An output of a model may be a state, too.
     names = unique(names)
     near = nearest(str(name), names)
-    return sentence(", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
+    listed = ", ".join(names[:MOST]) or "none"
+    if len(names) > MOST:
+        listed += f" and {len(names) - MOST} more"
+    return sentence(listed) + (f": did you mean {near!r}?" if near else ".")

@@ -5,6 +5,7 @@ from textwrap import indent
 
 from greybox.data.files.control_characters import printable
 from greybox.data.files.escapes import terminal_text
+from greybox.data.files.folded_text import folded
 
 
 def text_table(
@@ -27,5 +28,5 @@ def text_table(
 
 
 def titled(title: str, lines: Iterable[str]) -> str:
-    """Return a title, a blank line, and indented lines."""
-    return terminal_text(f"{title}\n\n" + indent("\n".join(lines), "  "))
+    """Return a title, a blank line, and indented lines, the long ones folded."""
+    return folded(terminal_text(f"{title}\n\n" + indent("\n".join(lines), "  ")))

@@ -34,14 +34,22 @@ from greybox.modeling.symbolic_reading import as_column, entries_by_name
 
 @frozen
 class Scaling:
-    """Parameters x and the solver's variables z, (..., p) each: x = factor · z, or x = exp(z)."""
+    """How parameters x and the solver's variables z, (..., p) each, follow from each other.
+
+    Attributes
+    ----------
+    factor : (p,) array
+        x = factor · z for a parameter on a linear scale.
+    logarithmic : (p,) array of bool
+        Whether x = exp(z).
+    """
 
     factor: Array
     logarithmic: BoolArray
 
     def to_solver(self, x: Array) -> Array:
         """Return z for x, along the last axis."""
-        # A lower bound of zero has no logarithm: -inf, no bound, is right.
+        # The logarithm of a lower bound of zero is -inf, which is no bound, as it should be.
         with np.errstate(divide="ignore"):
             return np.log(x, out=x / self.factor, where=self.logarithmic)
 
@@ -50,19 +58,21 @@ class Scaling:
         return np.exp(z, out=z * self.factor, where=self.logarithmic)
 
     def slope(self, x: Array) -> Array:
-        """Return dz/dx (p,)."""
+        """Return dz/dx (p,) at x (p,)."""
         return 1 / np.where(self.logarithmic, x, self.factor)
 
     def bend(self, x: Array) -> Array:
-        """Return d²z/dx² (p,)."""
-        return np.where(self.logarithmic, -1 / np.where(self.logarithmic, x, 1.0) ** 2, 0.0)
+        """Return d²z/dx² (p,) at x (p,)."""
+        # The square is only of parameters on a logarithmic scale, which are not zero.
+        divisor = np.where(self.logarithmic, x, 1.0) ** 2
+        return np.where(self.logarithmic, -1 / divisor, 0.0)
 
     def expressions(self, z: Any) -> list[Any]:
-        """Return x for a CasADi vector z."""
-        return [
-            ca.exp(z[k]) if log else z[k] * float(f)
-            for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))
-        ]
+        """Return the entries of x for a CasADi vector z."""
+        entries = []
+        for k, factor in enumerate(self.factor):
+            entries.append(ca.exp(z[k]) if self.logarithmic[k] else z[k] * float(factor))
+        return entries
 
 
 def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
@@ -74,12 +84,13 @@ def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
 
 
 def _size(parameter: Parameter) -> float:
-    """Return the larger end of the start box: IPOPT takes half the time that it takes unscaled.
+    """Return the scale of a parameter: the larger end of its start box, in magnitude.
 
-    Wider bounds would not do: IPOPT pushes starts away from bounds by a share of their distance.
+    With this scale, IPOPT takes half the time. The bounds and the start replace a box without a
+    finite end other than zero.
     """
     for values in (parameter.box, parameter.bounds, (parameter.start,)):
-        finite = [abs(v) for v in values if math.isfinite(v) and v != 0]
+        finite = [abs(value) for value in values if math.isfinite(value) and value != 0]
         if finite:
             return max(finite)
     return 1.0
@@ -95,7 +106,7 @@ def require_problem(problem: Any) -> None:
 
 
 PartKind = TypeVar("PartKind", bound=Part)
-# The attributes of a problem without frequency responses.
+# `responses` of a problem without frequency responses.
 NOTHING = Columns(ca.Function("nothing", [], []))
 
 
@@ -107,36 +118,37 @@ class CompiledProblem(Portable):
     ----------
     problem : Problem or Sum
         What was compiled.
-    free, constants : tuple of str
-        Names of the unknowns, in the order of every vector here, and of the fixed parameters after
-        them.
-    constant_values : array
+    free : tuple of str
+        Names of the p unknowns, in the order of every vector here.
+    constants : tuple of str
+        Names of the c fixed parameters. In "all values" they follow the unknowns.
+    constant_values : (c,) array
     lower, upper : (p,) arrays
         Bounds of the unknowns, in their own units.
     scaling : Scaling
         Between the unknowns and the solver's variables.
-    steep : (2, p) array
-        At which lower and upper bounds a root in a formula has no finite slope.
+    steep : (2, p) array of bool
+        Lower and upper bounds at which a formula, such as a root, has no finite slope.
     method : Transcription
         How records are transcribed.
     parts : tuple of Part
-        In the order of the problem's.
+        In the order of the parts of the problem.
     constraint : casadi.Function
-        (all values) -> what must be >= 0, stacked.
+        (all values) -> the stacked quantities that must be >= 0.
     limits : tuple of str
-        What each of these is, in words.
+        The names of these quantities in words.
     programs : tuple of CostProgram
-        What IPOPT minimizes for frequency responses, one after the other: with the criteria that
-        locate the minimum, where they differ, then with the problem's own.
-    zero_costs : array
-        The cost of a zero response, by frequency response, as the first program weighs it.
+        The costs of frequency responses that a solver minimizes one after the other: that of the
+        criteria that locate the minimum, if there are any, then that of the problem's own criteria.
+    zero_costs : (responses,) array
+        Cost of a zero response, for each frequency response, weighted as in the first program.
     data : (g,) array
         The constants and the data of all frequency responses, an input of their functions.
     responses : Columns
-        (all values, data) -> the cost without smoothing of every frequency response, unweighted,
-        and real and imaginary parts of all frequency responses, stacked: (2 N,).
+        (all values, data) -> the cost of every frequency response, without smoothing and weight,
+        and a vector (2 N,) of the real parts of all responses, then their imaginary parts.
 
-    From `programs` on, the attributes are empty where no data are frequency responses.
+    The attributes from `programs` on are empty if no data are frequency responses.
     """
 
     problem: AnyProblem
@@ -163,19 +175,22 @@ class CompiledProblem(Portable):
     def rows_of(
         self, kind: type[PartKind], *beside: Sequence[Any]
     ) -> list[tuple[PartKind, *tuple[Any, ...]]]:
-        """Return the parts of one class, each with its entries of other sequences."""
-        # Without degrees of freedom the parts have no accuracy, and no row.
+        """Return the parts of one class, each with its entries of other sequences.
+
+        The other sequences have one entry for every part of the problem, or none at all: a fit
+        without degrees of freedom has no accuracy of its parts. The result is then empty.
+        """
         rows: Any = zip(self.parts, *beside, strict=False)
         return [row for row in rows if isinstance(row[0], kind)]
 
     @property
     def has_states(self) -> bool:
-        """Whether states are unknowns besides the parameters, as in every record."""
+        """Whether states of some part are unknowns besides the parameters, as in every record."""
         return any(part.has_states for part in self.parts)
 
     @property
     def numbers(self) -> int:
-        """Real numbers of the data that are compared."""
+        """Number of real numbers that are compared with the model."""
         return sum(part.numbers for part in self.parts)
 
     @property
@@ -189,12 +204,14 @@ class CompiledProblem(Portable):
 
     def has_stable_steps(self, z: Array, nodes: Sequence[Array]) -> bool:
         """Return whether explicit steps of all parts are stable at z (p,) and their nodes."""
-        pairs = zip(self.parts, nodes, strict=True)
-        return all(part.has_stable_steps(z, own) for part, own in pairs)
+        return all(
+            part.has_stable_steps(z, part_nodes)
+            for part, part_nodes in zip(self.parts, nodes, strict=True)
+        )
 
     @property
     def noise_sizes(self) -> set[str]:
-        """Names of the sizes of process noise."""
+        """Names of the parameters that are sizes of process noise."""
         return {name for part in self.parts for name in part.noise_sizes}
 
     @property
@@ -204,12 +221,12 @@ class CompiledProblem(Portable):
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (p,) of the solver's variables z, inside of steep ones."""
+        """Lower and upper bounds (p,) of the solver's variables z, just inside of steep ones."""
         low, high = self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
         return low + MARGIN * self.steep[0], high - MARGIN * self.steep[1]
 
     def limits_at(self, z: Any) -> Any:
-        """Return what must be >= 0 at symbols z (p,) of the solver's variables."""
+        """Return the quantities that must be >= 0, at symbols z (p,) of the solver's variables."""
         return self.constraint(ca.vertcat(*self.scaling.expressions(z), *self.constant_values))
 
     def all_values(self, x: Array) -> Array:
@@ -228,7 +245,7 @@ class CompiledProblem(Portable):
         Raises
         ------
         ValueError
-            Where data are records: the values are compiled in.
+            If data are records, whose functions are compiled for the values.
         """
         changed = np.flatnonzero(values != self.constant_values)
         if self.has_states and changed.size:
@@ -238,7 +255,10 @@ class CompiledProblem(Portable):
                 f"{name} is fixed at {self.constant_values[k]:g} here: give {values[k]:g} to the "
                 f"problem, fixed={{{name!r}: ...}}."
             )
-        data = np.concatenate([values, self.data[len(values) :]]) if self.data.size else self.data
+        data = self.data
+        if data.size:
+            # The data of frequency responses begin with the constants.
+            data = np.concatenate([values, data[len(values) :]])
         return replace(self, constant_values=values, data=data)
 
     # --- frequency responses alone, many points at once
@@ -248,38 +268,41 @@ class CompiledProblem(Portable):
         return self.judged(x)[0]
 
     def _judged(self, values: Array) -> tuple[Array, Array]:
-        """Return costs (r,) and responses (2 N, r) at all values (k, r)."""
+        """Return the weighted costs (r,) and responses (2 N, r) at all values (k, r)."""
         costs, responses = self.responses(values, self.data)
         weights = [part.weight for part in self.parts if not part.has_states]
         return np.array(weights) @ costs, responses
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
-        """Return the data (g,) for other constants (c,) and other measured responses."""
-        pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
-        return np.concatenate([constants, *(part.numbers_of(response) for part, response in pairs)])
+        """Return the data (g,) for other constants (c,) and other measured responses (n,)."""
+        pieces = [constants]
+        for part, response in zip(self.parts_of(ResponsePart), responses, strict=True):
+            pieces.append(part.numbers_of(response))
+        return np.concatenate(pieces)
 
     def judged(self, x: Array) -> tuple[Array, Array]:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
         costs, responses = self._judged(self.all_values(x).T)
-        # Over the measured magnitudes, so that responses of unlike units can be compared.
-        magnitude = np.concatenate(
-            [np.zeros(0), *(p.magnitude for p in self.parts_of(ResponsePart))]
-        )
+        # Relative to the measured magnitudes, so that responses of different units are comparable.
+        magnitudes = [part.magnitude for part in self.parts_of(ResponsePart)]
+        magnitude = np.concatenate([np.zeros(0), *magnitudes])
         return costs, (responses / np.tile(magnitude, 2)[:, None]).T
 
 
 @one_thread_at_a_time
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> CompiledProblem:
-    """Build the CasADi expressions of a problem; `method` is that of its records.
+    """Build the CasADi functions of a problem; `method` is the transcription of its records.
 
     Raises
     ------
-    TypeError, ValueError
-        For anything but a problem, if no parameter is free, or a formula does not trace.
+    TypeError
+        For anything but a problem or a sum of problems.
+    ValueError
+        If no parameter is free, or CasADi cannot evaluate a formula.
     """
     require_problem(problem)
-    # Priors become parts, so that costs, counts and covariances include them without a special
-    # case.
+    # Priors become parts of the problem: costs, counts and covariances then include them without
+    # a special case.
     problem = with_priors(problem)
     method = method or MultipleShooting()
     parameters = problem.parameters
@@ -297,7 +320,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
     starts = np.array([*(p.start for p in unknowns), *constant_values], dtype=float)
-    # A logarithm has no bound at zero, and its slopes there are finite.
+    # A logarithmic scale never reaches zero, and elsewhere its slopes are finite.
     inward = np.where(scaling.logarithmic, 0.0, scaling.factor)
     steep = np.array(
         [
@@ -319,11 +342,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         parts |= response_parts
     point = ca.SX.sym("z", len(free))
     named = values_at(point, constant_values)
-    spectra, recorded = problem.parts_with(TransientSpectrum), problem.parts_with(Record)
+    spectra = problem.parts_with(TransientSpectrum)
     parts |= zip(spectra, compile_manoeuvres(spectra, named, point), strict=True)
-    if recorded:
-        record_parts = compile_records(recorded, named, point, method)
-        parts |= zip(recorded, record_parts, strict=True)
+    records = problem.parts_with(Record)
+    if records:
+        record_parts = compile_records(records, named, point, method)
+        parts |= zip(records, record_parts, strict=True)
+        # Stiff models are transcribed by another method, unless one was stated.
         method = record_parts[0].model.method
 
     return CompiledProblem(
@@ -344,26 +369,29 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
 
 def limits_of(problem: AnyProblem, names: Sequence[str]) -> tuple[tuple[str, ...], ca.Function]:
-    """Return what must be >= 0, in words, and (values of these names) -> its values, stacked.
+    """Return the constraints of a problem: their names, and a function (values) -> (limits,).
 
-    A constraint that parts share counts once.
+    All its results must be >= 0; `names` are those of the values. A constraint that several parts
+    share counts once.
     """
+    # Name and expression, by a key that is equal for equal constraints.
     limits: dict[Any, tuple[str, Any]] = {}
     x = ca.SX.sym("x", len(names))
     for part in problem.parts:
         local = part.local_values(entries_by_name(names, x))
         for k, constraint in enumerate(part.constraints):
-            # Formulas are compared as compiled: equal lambdas are different objects in Python.
+            # Equal lambdas are different objects in Python: compiled formulas are compared instead.
             label = f"constraints[{k}] of {part.name!r}"
             value = ca.SX(constraint(local))
             formula = ca.Function("formula", [x], [value])
             limits.setdefault(function_key(formula), (label, value))
         for name in part.tied:
-            sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
-            for side, bound, sign in sides:
+            lower, upper = part.declared[name].bounds
+            sides = [("lower", lower, local[name] - lower), ("upper", upper, upper - local[name])]
+            for side, bound, distance in sides:
                 if math.isfinite(bound):
                     label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
-                    limits.setdefault(label, (label, sign * (local[name] - bound)))
+                    limits.setdefault(label, (label, distance))
 
     values = as_column(value for _, value in limits.values())
     return tuple(label for label, _ in limits.values()), ca.Function("constraint", [x], [values])

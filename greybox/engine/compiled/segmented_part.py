@@ -1,6 +1,7 @@
-"""Records cut into segments: what one record and a group of them have in common.
+"""The base class of a record, and of a group of records, that is cut into segments.
 
-The linearization of records beyond their segments: steady filters, known initial states.
+Trajectories, costs and linearizations of its segments follow from `Segments`. Added here are the
+covariance that a steady filter predicts, known initial states, and the continuity of the segments.
 """
 
 import math
@@ -24,7 +25,7 @@ from greybox.modeling.cached_property import cached_property
 from greybox.modeling.formulation.problem import Problem
 from greybox.statistics.correlation_statistics import whiteness
 
-# Three standard deviations of a signal, in assumed output errors.
+# A jump of three standard deviations of a signal, in units of the assumed output error.
 JUMP = 3.0 / ASSUMED_ERROR
 
 
@@ -35,15 +36,16 @@ class Placed:
     Attributes
     ----------
     q : (declared,) array
-        Values of all declared parameters; (declared, s), for every segment, where the records have
-        parameters of their own.
+        Values of all declared parameters; (declared, s) with a column for every segment if the
+        records have parameters of their own.
     slope : (active, p) or (records, active, p) array
-        Derivatives of the estimated ones by z.
+        Derivatives by z of the active parameters, which are the estimated ones of the model.
     data : (width, columns) array
-        The data, with the inputs placed for these delays.
-    initial, initial_slope : (n,) and (n, active) arrays, or with `records` before
-        Known initial states and their derivatives by the active parameters; NaN where a state is
-        unknown.
+        The data of all samples, with the inputs shifted by their delays.
+    initial : (n,) or (records, n) array
+        Known initial states; NaN where a state is unknown.
+    initial_slope : (n, active) or (records, n, active) array
+        Derivatives of the initial states by the active parameters.
     filter : SteadyFilter or None
         The filter of estimated process noise; its gain is in `q` and `slope`.
     """
@@ -56,17 +58,17 @@ class Placed:
     filter: SteadyFilter | None = None
 
     def along(self, states: Array) -> Course:
-        """Return where functions of the segments are evaluated along states (n, columns)."""
+        """Return the arguments of functions of the segments along states (n, columns)."""
         return Course(states, self.q, self.data)
 
 
 class SegmentedPart(Part):
-    """Records of one model, cut into segments, and the step from sample to sample.
+    """Records of one model, cut into segments, with the step from sample to sample.
 
     Attributes
     ----------
     model : RecordModel
-        The model of the first of several records.
+        The model of the record, or of the first one of a group.
     data : SampledData
     step : SampleStep
     segments : Segments
@@ -74,8 +76,10 @@ class SegmentedPart(Part):
     """
 
     has_states = has_nodes = is_likelihood = True
+    # The last result of `data_at`, and the whole samples of the delays for which it holds.
     _placed_data: tuple[Array, Array] | None = None
-    _linearized: Any = None  # trajectory, weight and linearization
+    # The last result of `linearize`: trajectory, weight and linearization.
+    _linearized: Any = None
 
     def __init__(
         self,
@@ -95,7 +99,8 @@ class SegmentedPart(Part):
         self.system = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
-        # The states of delays, which come last, follow from the inputs alone.
+        # Number of the states of the model itself. Those of delays come last and follow from the
+        # inputs alone.
         self.driven = len((model.system.undelayed or model.system).states)
         self.substeps = self.step.substeps
         self.samples = data.samples  # padding of segments included
@@ -106,17 +111,17 @@ class SegmentedPart(Part):
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the results for the last delays and the last trajectory, which are large."""
+        """Leave out the results for the last delays and the last trajectory, which are large."""
         return without(super().__getstate__(), ("_placed_data", "_linearized"))
 
     @property
     def problem(self) -> Problem:
-        """The problem, where it was compiled."""
+        """The problem; only in the process that has compiled it."""
         return self.model.problem
 
     @property
     def noise_group(self) -> Any:
-        """Equal for records of one model and the same compared outputs."""
+        """A key that is equal for records of one model with the same compared outputs."""
         return id(self.model.steps)
 
     # --- placement
@@ -127,14 +132,14 @@ class SegmentedPart(Part):
 
     @abstractmethod
     def initial_nodes(self, q: Array, known: Array) -> Array:
-        """Return nodes (s, n) from the data, for q and known initial states as in `Placed`."""
+        """Return nodes (s, n) from the data, for `q` and `initial` of `Placed`."""
 
     def data_at(self, delays: Array) -> Array:
-        """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
+        """Return the data of all samples, (width, columns), with inputs shifted by delays (m,).
 
-        The same array as the last time, as long as no delay has passed a whole sample.
+        Only whole samples shift the data, and the rest of a delay is a parameter in q. The array is
+        that of the last call until a delay passes the next whole sample.
         """
-        # The fraction of a delay enters through q; only its whole samples select other data.
         whole = self.data.whole_samples(delays)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
             self._placed_data = (whole, self.segments.columns(self.data.rows(delays)))
@@ -142,7 +147,11 @@ class SegmentedPart(Part):
 
     @cached_property
     def known_states(self) -> BoolArray:
-        """Which states (s, n) are known at the beginning of a segment: stated ones, and delays."""
+        """Which states (s, n) are known at the beginning of a segment.
+
+        Known are the states of delays at the beginning of every stretch, and at the beginning of a
+        record also the initial states that the user states.
+        """
         known = np.zeros((self.segments.count, self.states), dtype=bool)
         begins = self.data.begins_stretch
         at_first = np.array([stretch.rows[0] == 0 for stretch in self.data.stretches])
@@ -152,7 +161,7 @@ class SegmentedPart(Part):
 
     @cached_property
     def delays_at_rest(self) -> Array:
-        """Return the states (s, n) of delays that rest at the first input of a stretch, else 0."""
+        """States (s, n) of delays whose input was constant before a stretch; zero elsewhere."""
         states = np.zeros((self.segments.count, self.states))
         if self.system.undelayed:
             first = np.array([stretch.inputs[:, 0] for stretch in self.data.stretches])
@@ -165,15 +174,20 @@ class SegmentedPart(Part):
     def trajectory(
         self, z: Array, nodes: Array | None = None, *, simulated: bool = False
     ) -> Trajectory:
-        """Return the trajectory at z (p,) from nodes (s, n), or `simulated` from the first ones.
+        """Return the trajectory at z (p,) from nodes (s, n), the states where segments begin.
 
-        By default the nodes come from the data, see `record_model`.
+        By default the nodes come from the data, see `record_model`. If it is `simulated`, only the
+        first node of each stretch is used, and the other nodes follow from the simulation.
         """
         placed = self.place(z)
-        nodes = self.initial_nodes(placed.q, placed.initial) if nodes is None else nodes
+        if nodes is None:
+            nodes = self.initial_nodes(placed.q, placed.initial)
         segments = self.segments
         at = (placed.q, placed.data)
-        initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
+        initial = placed.initial
+        if initial.ndim == 2:
+            # From a row for every record to a row for every segment.
+            initial = initial[segments.records]
         nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)
         gaps = np.zeros_like(nodes)
         if simulated:
@@ -186,8 +200,9 @@ class SegmentedPart(Part):
             gaps[~self.data.coupled] = 0
 
         products = segments.products(segments.residuals(placed.along(states)))
-        # The products of several records have an axis of records.
-        products = products[0] if segments.number == 1 else products
+        # Only the products of several records keep their axis of records.
+        if segments.number == 1:
+            products = products[0]
         return Trajectory(z, nodes, ends, gaps, products, simulated, states, placed)
 
     def residuals(self, trajectory: Trajectory) -> Array:
@@ -199,22 +214,31 @@ class SegmentedPart(Part):
         return self.segments.in_order(self.segments.outputs(trajectory.course))
 
     def explains_data(self, trajectory: Trajectory) -> bool:
-        """Return whether all residuals are white; rows without a time have no order."""
+        """Return whether the residuals of all outputs are white.
+
+        Rows without a time have no order in which residuals could be correlated.
+        """
         if not self.model.has_time:
             return False
         present = np.isfinite(self.data.measured)
         stretches = self.data.unpadded(np.where(present, self.residuals(trajectory), np.nan))
-        tests = map(whiteness, zip(*stretches, strict=True))
-
-        # One of a hundred records with white residuals is not recognized.
-        return all(test.p_value > 0.01 / len(self.outputs) for test in tests)
+        # Of a hundred records with white residuals, one is not recognized.
+        level = 0.01 / len(self.outputs)
+        return all(
+            whiteness(output_stretches).p_value > level
+            for output_stretches in zip(*stretches, strict=True)
+        )
 
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return up to some 500 samples of every simulated output, in units of its spread."""
+        """Return at most about 500 samples of every simulated output, in units of its spread.
+
+        All outputs are in one vector.
+        """
         spread = np.atleast_2d(self.covariance.spread)[self.segments.records].T
         spread = np.repeat(spread, self.data.segment_length, axis=1)
         scaled = self.simulated_outputs(trajectory) / spread
-        return scaled[:, :: max(scaled.shape[1] // 500, 1)].ravel()
+        every = max(scaled.shape[1] // 500, 1)
+        return scaled[:, ::every].ravel()
 
     # --- cost
 
@@ -223,11 +247,11 @@ class SegmentedPart(Part):
         return self.covariance_along(trajectory).cost(trajectory.products)
 
     def squared_cost(self, trajectory: Trajectory, weight: Array) -> float:
-        """Return half the sum of squares of the residuals times `weight`."""
+        """Return half the sum of squares of the residuals multiplied by `weight` (k, k)."""
         return float(np.sum((weight @ trajectory.products) * weight)) / 2
 
     def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
-        """Return the residual covariance, or that of the steady filter."""
+        """Return the covariance of the residuals; that of the steady filter, if there is one."""
         steady = trajectory.detail.filter
         if steady is None:
             return self.covariance
@@ -238,41 +262,54 @@ class SegmentedPart(Part):
         return self.covariance_along(trajectory).weight(trajectory.products)
 
     def initial_weight(self) -> Array:
-        """Return W (k, k) for residuals of `ASSUMED_ERROR` of each signal's spread."""
+        """Return W (k, k) for residuals of the size `ASSUMED_ERROR` times the signal's spread."""
         return diagonal(1 / (ASSUMED_ERROR * self.covariance.spread))
 
     # --- linearization
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
-        """Linearize along a trajectory, known initial states eliminated."""
-        # Polishing ends with the linearization from which the standard errors follow.
-        last, self._linearized = self._linearized, None
-        if last and last[0] is trajectory and np.array_equal(last[1], weight):
-            return last[2]
-        del last  # for a long record, a sixth of the memory
-        placed: Placed = trajectory.detail
-        b = self.segments.linearize(trajectory.course, weight)
-        if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
-            # With weights other than the filter's own, the merit does not contain its covariance.
-            count = self.compared_samples
-            b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
+        """Return the linearization along a trajectory, without known initial states.
 
-        records = self.segments.records
-        b = without_known_states(b, self.known_states, placed.initial_slope, records)
-        self._linearized = trajectory, weight, b
-        return b
+        `weight` (k, k) multiplies the residuals.
+        """
+        # Polishing ends with a linearization that is also needed for the standard errors.
+        if self._linearized is not None:
+            last_trajectory, last_weight, last = self._linearized
+            self._linearized = None
+            if last_trajectory is trajectory and np.array_equal(last_weight, weight):
+                return last
+            # The old one is freed before a new one is made: of a long record, it takes a sixth of
+            # the memory.
+            del last_trajectory, last_weight, last
+
+        placed: Placed = trajectory.detail
+        linearization = self.segments.linearize(trajectory.course, weight)
+        # With another weight, the merit does not contain the filter's covariance.
+        if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
+            linearization = with_filter_covariance(
+                linearization, placed.filter, weight, trajectory.products, self.compared_samples
+            )
+
+        linearization = without_known_states(
+            linearization, self.known_states, placed.initial_slope, self.segments.records
+        )
+        self._linearized = trajectory, weight, linearization
+        return linearization
 
     @property
     def compared_samples(self) -> int:
-        """Samples at which an output is compared."""
+        """Number of samples at which some output is compared."""
         return int(self.covariance.counts.max())
 
     def continuity_variance(self, linearization: Linearization) -> Array:
-        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
+        """Return the variances (n,) of jumps of the states between segments.
+
+        Jumps of this size move the outputs of a segment by `JUMP`.
+        """
         samples = self.data.segment_length * len(self.outputs)
         sizes = state_sizes(linearization.node_hessian, linearization.transition)
         variance = JUMP**2 * samples * sizes**2
-        # With gaps, the states of a delay would be another input.
+        # If the states of delays could jump, they would act as another input.
         variance[self.driven :] = 0
         return variance
 
@@ -285,20 +322,29 @@ class SegmentedPart(Part):
         *,
         weight: Array | None = None,
     ) -> Condensed:
-        """Eliminate the nodes, see `greybox.engine.compiled.condensing`."""
+        """Eliminate the nodes, see `greybox.engine.compiled.condensing`.
+
+        `continuity_variance` (n,) are the variances of jumps of the states between segments. With
+        the `weight` (k, k) of the residuals, steps of unknown initial states are limited.
+        """
         variance = np.zeros(self.states) if continuity_variance is None else continuity_variance
         largest = None
         if weight is not None and self.unknown_initial_states:
-            # The same jumps in units of the errors that the weight stands for.
+            # The same size of jumps, now in units of the errors that the weight expresses.
             signals = (weight * self.covariance.spread[..., None, :]) ** 2
             size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
-            # Where transitions change by decades along a record, as in kinetics, their means would
-            # hold initial states that the outputs show.
+            # The variances follow from mean transitions. If transitions change by decades along a
+            # record, as in kinetics, these means would hold initial states on which the outputs
+            # inform well. The segments at the beginning are therefore considered alone as well.
             begins = self.data.begins_stretch
-            H, A = linearization.node_hessian[begins], linearization.transition[begins]
-            first = linearization._replace(node_hessian=H, transition=A)
-            variances = map(self.continuity_variance, (linearization, first))
-            largest = ASSUMED_ERROR**2 * size * np.maximum(*variances)
+            first = linearization._replace(
+                node_hessian=linearization.node_hessian[begins],
+                transition=linearization.transition[begins],
+            )
+            jumps = np.maximum(
+                self.continuity_variance(linearization), self.continuity_variance(first)
+            )
+            largest = ASSUMED_ERROR**2 * size * jumps
         return condense(
             linearization, trajectory, variance, damping, self.data, self.segments, largest
         )
@@ -306,17 +352,28 @@ class SegmentedPart(Part):
     def close_gaps(
         self, linearization: Linearization, trajectory: Trajectory, held: Array
     ) -> Array:
-        """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+        """Return the nodes (s, n) that close the gaps with the least change of the outputs.
+
+        `held` is added to the Hessians (s, n, n) of the nodes.
+        """
         gaps = -trajectory.gaps[:, :, None]
-        hessian, transition = linearization.node_hessian + held, linearization.transition
-        x, _ = solve_continuity(hessian, transition, self.data.coupled, np.zeros_like(gaps), gaps)
-        return trajectory.nodes + x[:, :, 0]
+        step, _ = solve_continuity(
+            linearization.node_hessian + held,
+            linearization.transition,
+            self.data.coupled,
+            np.zeros_like(gaps),
+            gaps,
+        )
+        return trajectory.nodes + step[:, :, 0]
 
 
 def with_filter_covariance(
     b: Linearization, steady: SteadyFilter, weight: Array, products: Array, count: int
 ) -> Linearization:
-    """Add what the covariance of a steady filter contributes over `count` samples."""
+    """Return a linearization with the information from the covariance of a steady filter.
+
+    `products` (k, k) are the sums of products of the residuals over `count` samples.
+    """
     rows = filter_information(steady, weight, count, b.parameter_hessian.shape[1])
     # Zero where the residuals have the covariance that the filter predicts.
     excess = (np.eye(len(weight)) - weight @ products @ weight.T / count).ravel()
@@ -327,9 +384,10 @@ def with_filter_covariance(
 
 
 def filter_information(steady: SteadyFilter, weight: Array, count: int, active: int) -> Array:
-    """Return J (k², active); JᵀJ is the information of the prediction errors' covariance S.
+    """Return J (k², active), where JᵀJ is the information from the covariance S of the errors.
 
-    The Fisher information on the parameters is n/2 tr(S⁻¹ dS S⁻¹ dS), beside that of the mean.
+    Besides the information from the mean of the prediction errors, the Fisher information on the
+    parameters contains n/2 tr(S⁻¹ dS S⁻¹ dS).
     """
     change = weight @ np.moveaxis(steady.covariance_slope, -1, 0) @ weight.T
     rows = math.sqrt(count / 2) * change.reshape(len(change), -1).T
@@ -339,21 +397,30 @@ def filter_information(steady: SteadyFilter, weight: Array, count: int, active: 
 def without_known_states(
     b: Linearization, known: BoolArray, initial_slope: Array, records: IntArray
 ) -> Linearization:
-    """Return the linearization, changed in place: `known` states (s, n) follow the parameters.
+    """Return the linearization without the known states, which follow from the parameters.
 
-    x = x' + (dx/dq) dq, with x' constant. `initial_slope` is dx/dq, (n, q) or one for every record.
+    A known state is x₀ + (dx/dq) dq. The linearization is changed in place.
+
+    Parameters
+    ----------
+    b : Linearization
+    known : (s, n) array of bool
+    initial_slope : (n, q) or (records, n, q) array
+        dx/dq.
+    records : (s,) array of int
+        The record of every segment.
     """
     for k in np.flatnonzero(known.any(axis=1)):
         record, is_known = records[k], known[k]
-        slope = initial_slope if initial_slope.ndim == 2 else initial_slope[record]
-        follow = np.where(is_known[:, None], slope, 0.0)
-        mixed = follow.T @ b.cross_hessian[k]
-        b.parameter_hessian[record] += mixed + mixed.T + follow.T @ b.node_hessian[k] @ follow
-        b.parameter_gradient[record] += follow.T @ b.node_gradient[k]
-        b.cross_hessian[k] += b.node_hessian[k] @ follow
-        b.parameter_sensitivity[k] += b.transition[k] @ follow
+        all_slopes = initial_slope if initial_slope.ndim == 2 else initial_slope[record]
+        slope = np.where(is_known[:, None], all_slopes, 0.0)
+        mixed = slope.T @ b.cross_hessian[k]
+        b.parameter_hessian[record] += mixed + mixed.T + slope.T @ b.node_hessian[k] @ slope
+        b.parameter_gradient[record] += slope.T @ b.node_gradient[k]
+        b.cross_hessian[k] += b.node_hessian[k] @ slope
+        b.parameter_sensitivity[k] += b.transition[k] @ slope
 
-        # The ridge of the elimination holds states that nothing moves.
+        # Without derivatives, the ridge of the elimination holds these states.
         b.node_hessian[k, is_known, :] = 0
         b.node_hessian[k, :, is_known] = 0
         b.cross_hessian[k, is_known] = 0

@@ -1,17 +1,18 @@
 """Newton's method from many points at once: every operation is done for all of them by one call.
 
-IPOPT spends most of a small fit on itself: of 130 µs an iteration, the functions take some 15. Here
-the functions and the iteration itself are evaluated for all points together;
-only some of the points need a small eigenvalue problem. Each point is a search of its own, with its
-own trust region; none depends on the others.
+For a small fit, IPOPT's own overhead is most of its time: of 130 µs an iteration, the cost and its
+derivatives take some 15 µs. Here they and the iteration itself are evaluated for all points
+together; only some of the points need a small eigenvalue problem. Each point is the start of a
+search with its own trust region, which does not depend on the others.
 
-A search passes through levels. First a logarithmic barrier keeps it away from its bounds, where it
-would end in corners of wide boxes, and kinks of the cost at zero residuals are rounded off. Both
-are reduced from level to level; at the last level there is no barrier, and the smoothing is that of
-every solver here. The steps minimize the quadratic model within the trust region, with the
-eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983),
-over the variables that are not held at a bound by the gradient (Bertsekas, SIAM J. Control Optim.
-20, 1982).
+A search passes through levels. At first a logarithmic barrier keeps it away from its bounds:
+without it, searches would end in corners of wide boxes. Kinks of the cost at zero residuals are
+smoothed. Barrier and smoothing are reduced from level to level. At the last level there is no
+barrier, and the smoothing is that of all solvers here.
+
+The steps minimize the quadratic model of the cost within the trust region, with the eigenvalues of
+the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983). Variables that
+the gradient holds at a bound do not move (Bertsekas, SIAM J. Control Optim. 20, 1982).
 """
 
 from collections.abc import Callable, Sequence
@@ -43,6 +44,11 @@ from greybox.engine.solve.newton_iteration import (
 from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 
 NO_DATA = np.zeros(0)
+# Projected gradient at which a search goes on to the next level. With 1e-3, searches take a
+# twentieth more iterations.
+NEXT_LEVEL = 1e-2
+# At its start, a search keeps this share of the distance between its bounds from each, as in IPOPT.
+MARGIN = 1e-2
 
 
 class Ends(NamedTuple):
@@ -52,10 +58,11 @@ class Ends(NamedTuple):
     ----------
     z : (p, m) array
     at_minimum : (m,) array of bool
-        Whether the projected gradient is below the tolerance, or rounding hides what it promises.
+        Whether the projected gradient is below the tolerance, or promises a decrease of the cost
+        that rounding would hide.
     iterations : (m,) array of int
     cost : (m,) array
-        The function, with the barrier if the last level was not reached.
+        The cost, with the barrier if the last level was not reached.
     """
 
     z: Array
@@ -68,7 +75,10 @@ ALL = slice(None)
 
 
 def continued(ends: Ends, later: Ends, which: IntArray | slice = ALL) -> Ends:
-    """Return the ends of m searches, with later ends of all or of those at the places `which`."""
+    """Return the ends of m searches, changed in place, of which some were continued.
+
+    `later` are the new ends of the searches with the numbers `which`. Iterations are added.
+    """
     later.iterations[:] += ends.iterations[which]
     for values, replaced in zip(ends, later, strict=True):
         values[..., which] = replaced
@@ -77,16 +87,16 @@ def continued(ends: Ends, later: Ends, which: IntArray | slice = ALL) -> Ends:
 
 @dataclass(eq=False)
 class _Searches:
-    """The searches in progress, and some that have ended, a column for each.
+    """The searches in progress, with a column for each. Some columns belong to ended ones.
 
     Attributes
     ----------
-    owner : (w,) array
-        The search of each column.
+    owner : (w,) array of int
+        The number of the search in each column.
     numbers : (size, w) array
-        The scalars at the rows of `Rows`, then the vectors of `Vectors`.
+        The scalars and vectors of each search, see `layout` of `newton_iteration`.
     live : (w,) array of bool
-        Whether it has not ended.
+        Whether the search continues.
     data : (g, w) array
         The data of each search.
     """
@@ -98,10 +108,8 @@ class _Searches:
 
 
 def _iteration(p: int) -> tuple[Columns, ...]:
-    """Return `advanced` and `bounded` for p variables."""
-    # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
-    # more iterations.
-    functions = advanced(p, 1e-2), bounded(p)
+    """Return the functions `advanced` and `bounded` for p variables, for many columns."""
+    functions = advanced(p, NEXT_LEVEL), bounded(p)
     return tuple(Columns(function, fewest=FEWEST_IN_A_FEW_CALLS) for function in functions)
 
 
@@ -120,10 +128,10 @@ class BatchedNewton:
         roots: ca.Function | None = None,
         barriers: Array = BARRIERS,
     ) -> None:
-        """Take a function (z, smoothing, data), as `second_order`, and the bounds (p,) of z.
+        """Store a function (z, smoothing, data), as `second_order`, and the bounds (p,) of z.
 
-        It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
-        The rows of `barriers` are those of one search after the other.
+        With `roots`, a function (z, data), the function takes its result as a fourth argument.
+        Searches use the rows of `barriers`, the weights (levels,) of the barrier, in turn.
         """
         self._barriers = barriers
         self._function = function
@@ -150,39 +158,61 @@ class BatchedNewton:
         bounds: tuple[Array, Array] | None = None,
         last: int = LAST,
     ) -> Ends:
-        """Search from the columns of z (p, m); with `from_near` at the last level only.
+        """Return the ends of searches from the columns of z (p, m).
 
-        A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
-        most the `tolerance`, relative to the cost where that is above one, where Newton's step
-        promises a decrease that rounding hides, or when it has passed the `last` level. The columns
-        of `given` (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the
-        problem's.
+        A search ends if its projected gradient is below the tolerance, if rounding would hide the
+        decrease that Newton's step promises, or if it has passed the last level.
+
+        Parameters
+        ----------
+        z : (p, m) array
+        max_iterations : int
+        tolerance : float
+            On the projected gradient, divided by the cost if that is above one.
+        from_near : bool
+            Whether the starts are near minima: the searches then begin at the last level.
+        smoothing : float, optional
+            Replaces the smoothings of all levels.
+        given : (g, m) array, optional
+            The data of each search; by default those of the problem.
+        bounds : pair of (p, m) or (p, 1) arrays, optional
+            Replace those of the problem.
+        last : int
+            Number of the last level.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
         low, high = bounds or self._bounds
-        ends = Ends(np.clip(z, low, high), np.zeros(m, bool), np.zeros(m, int), np.zeros(m))
-        if not m:
+        ends = Ends(
+            z=np.clip(z, low, high),
+            at_minimum=np.zeros(m, bool),
+            iterations=np.zeros(m, int),
+            cost=np.zeros(m),
+        )
+        if m == 0:
             return ends
 
-        # A search begins at least a hundredth of the interval inside its bounds, as in IPOPT.
-        margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
+        width = high - low
+        margin = np.where(np.isfinite(width) & (not from_near), MARGIN * width, 0.0)
         z = np.clip(z, low + margin, high - margin)
         rows = self._rows
         numbers = np.zeros((rows.size, m))
         numbers[rows.z] = numbers[rows.trial] = z
-        numbers[rows.lower], numbers[rows.upper] = low, high
-        # The first evaluation is that of a search which has just switched to the level. The radius
-        # is the size of the start box in the solver's variables.
+        numbers[rows.lower] = low
+        numbers[rows.upper] = high
+        # The first evaluation belongs to a search that has just switched from the level before, and
+        # is no iteration.
         numbers[LEVEL] = LAST - 1 if from_near else -1
-        numbers[SWITCHED] = numbers[RADIUS] = 1
+        numbers[SWITCHED] = 1
         numbers[ITERATIONS] = -1
+        # The first radius is the size of the start box in the solver's variables.
+        numbers[RADIUS] = 1
         searches = _Searches(np.arange(m), numbers, np.ones(m, bool), data)
         self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
-            _, _, level, switched, _, end, *_ = searches.numbers
-            ended = searches.live & ((end != 0) | (level + switched > last))
-            # For few searches `any` takes ten times as long.
+            level = searches.numbers[LEVEL] + searches.numbers[SWITCHED]
+            ended = searches.live & ((searches.numbers[END] != 0) | (level > last))
+            # For few searches, numpy's `any` would take ten times as long as a count.
             if np.count_nonzero(ended):
                 self._end(searches, ended, ends)
             live = np.count_nonzero(searches.live)
@@ -194,8 +224,9 @@ class BatchedNewton:
         return ends
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
-        """Move searches to the ends."""
-        owner, numbers = searches.owner[which], searches.numbers[:, which]
+        """Store the ends of the searches that `which` (w,) marks, which are then over."""
+        owner = searches.owner[which]
+        numbers = searches.numbers[:, which]
         ends.z[:, owner] = numbers[self._rows.z]
         ends.at_minimum[owner] = numbers[END] > 0
         ends.iterations[owner] = numbers[ITERATIONS]
@@ -203,7 +234,7 @@ class BatchedNewton:
         searches.live &= ~which
 
     def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
-        """Evaluate the trial of every search, accept it or not, and find the next trial."""
+        """Evaluate the trial point of every search, accept it or not, and choose the next one."""
         numbers, rows = searches.numbers, self._rows
         trial = numbers[rows.trial]
         p = len(trial)
@@ -215,36 +246,42 @@ class BatchedNewton:
 
         advance, within_radius = _iterations.result(p, partial(_iteration, p))
         barrier = self._barriers[searches.owner % len(self._barriers), levels][None]
-        alike = np.full((1, len(levels)), tolerance)
+        tolerances = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(
-            numbers, barrier, alike, np.atleast_2d(cost), gradient, hessian
+            numbers, barrier, tolerances, np.atleast_2d(cost), gradient, hessian
         )
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
 
-        # Where there is no Newton step, or it is too long, eigenvalues give the step within the
-        # radius.
+        # If a search has no Newton step, or one that is too long, the eigenvalues of the Hessian
+        # give the step within the radius.
         outside = searches.live & (numbers[IS_NEWTON] == 0)
         if np.count_nonzero(outside):
-            eigenvalues, eigenvectors = np.ones((p, len(levels))), np.zeros((p**2, len(levels)))
-            pairs = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))
-            eigenvalues[:, outside] = pairs[0].T
-            eigenvectors[:, outside] = pairs[1].reshape(-1, p**2).T
-            # For all searches, since another number of them would need another layout.
+            values, vectors = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))
+            # The function is evaluated for all searches: for another number of columns it would
+            # need memory of another layout.
+            eigenvalues = np.ones((p, len(levels)))
+            eigenvalues[:, outside] = values.T
+            eigenvectors = np.zeros((p**2, len(levels)))
+            eigenvectors[:, outside] = vectors.reshape(-1, p**2).T
             [trials] = within_radius(numbers, eigenvalues, eigenvectors)
             numbers[rows.trial] = np.where(outside, trials, numbers[rows.trial])
 
 
 def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
-    """Return the `count` searches that have not ended, alone if the others are many.
+    """Return the `count` live searches alone if most columns belong to ended ones.
 
-    Three of four, so that few layouts of registers are built; half where none are built.
+    The columns are reduced to a quarter at once, because every number of columns needs memory of
+    its own layout. For few columns no such memory is built: these are reduced by half.
     """
     live = searches.live
-    width = len(searches.live)
-    narrower = 4 if width >= FEWEST_IN_A_FEW_CALLS else 2
-    if count > width // narrower:
+    width = len(live)
+    reduction = 4 if width >= FEWEST_IN_A_FEW_CALLS else 2
+    if count > width // reduction:
         return searches
     return _Searches(
-        searches.owner[live], searches.numbers[:, live], searches.live[live], searches.data[:, live]
+        owner=searches.owner[live],
+        numbers=searches.numbers[:, live],
+        live=live[live],
+        data=searches.data[:, live],
     )

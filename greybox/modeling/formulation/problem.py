@@ -135,10 +135,11 @@ class Problem(Addable):
 
     def __post_init__(self) -> None:
         """Fill in the defaults, check that everything fits together, and resolve the parameters."""
-        is_class = isinstance(self.model, type)
-        cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
+        cure = "a model, then the data"
+        if isinstance(self.model, type):
+            cure = "an instance such as Tilt(), not the class"
         require_kind("model", self.model, Model, cure)
-        kind_of(self.data)  # refuses what is no data
+        kind_of(self.data)  # raises TypeError for anything that is not data
         self._fill_in_defaults()
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
@@ -173,7 +174,10 @@ class Problem(Addable):
         )
 
     def _added_by_criterion(self) -> Parameters:
-        """Check model, data and criterion; return the parameters that the criterion adds."""
+        """Return the parameters that the criterion adds to those of the model.
+
+        Raises ValueError if model, data and criterion do not fit together.
+        """
         added = self.kind.added_parameters(self.model, self.data, self.criterion)
         for name in added:
             if name in self.model.parameters:
@@ -185,6 +189,7 @@ class Problem(Addable):
         return added
 
     def _stated_parameters(self) -> StatedParameters:
+        """Return the statements about parameters, which are resolved together."""
         return StatedParameters(
             fixed=self.fixed,
             free=tuple(self.free),
@@ -197,6 +202,7 @@ class Problem(Addable):
         )
 
     def _check_operating_point(self) -> None:
+        """Refuse an operating point that the data do not have, and unknown signals."""
         if self.at and not self.kind.has_operating_point:
             raise ValueError(
                 f"at={dict(self.at)} is the operating point of a frequency response and this is "
@@ -206,20 +212,26 @@ class Problem(Addable):
         require_operating_point(self.model, self.at)
 
     def _check_functions(self) -> None:
-        """Try ties, constraints and derived quantities: a mistake shows here, not inside CasADi."""
+        """Evaluate ties, constraints and derived quantities once.
+
+        A mistake in a formula is then named here, and is no error of CasADi in the search.
+        """
         require_kind("constraints", self.constraints, list | tuple, "a list of functions")
         label = self.model.label
-        functions: dict[str, ParameterFormula] = {
-            f"tied[{name!r}]": itemgetter(name) for name in self.tied
-        }
-        functions |= {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
-        functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
+        functions: dict[str, ParameterFormula] = {}
+        for name in self.tied:
+            # The values below are complete: their ties are evaluated already.
+            functions[f"tied[{name!r}]"] = itemgetter(name)
+        for k, constraint in enumerate(self.constraints):
+            functions[f"constraints[{k}]"] = constraint
+        for name, formula in self.model.derived.items():
+            functions[f"derived[{name!r}] of {label}"] = formula
         require_numbers(functions, self.local_starts)
         symbols = {name: ca.SX.sym(name) for name in self.parameters}
         require_expressions(functions, self.local_values(symbols))
 
     def _check_priors(self) -> None:
-        """Require a likelihood beside a prior: other costs have another scale."""
+        """Require that a prior is added to a likelihood: other costs have another scale."""
         if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
                 f"{self.priors[0].names[0]!r} has a prior, and the cost of "
@@ -266,7 +278,7 @@ class Problem(Addable):
 
     @property
     def signals(self) -> dict[str, Any]:
-        """The input and output of the response, the operating point and the order of the delay."""
+        """Input and output of the response, its operating point, and the order of Padé delays."""
         data = self.response
         return {
             "input": data.input,
@@ -279,8 +291,8 @@ class Problem(Addable):
     def sampled_hold(self) -> float:
         """The divided hold of a response, s; zero without one.
 
-        It is also zero for a loop around a delay, and for the rate that is s times the response of
-        an angle: what sampling folds back is that of the angle.
+        It is also zero for a loop around a delay, which has no sampled form. And it is zero for a
+        rate that was computed as s times the response of an angle: sampling folds back the angle.
         """
         hold = self.response.divided_hold
         if not hold or MULTIPLIED in self.response.about:
@@ -307,17 +319,19 @@ class Problem(Addable):
         return self.rename.get(name, name)
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
-        """Return the parameters by inside name, ties evaluated, from values by outside name."""
+        """Return all parameters by inside name, from the untied ones by outside name.
+
+        A tie may use the untied parameters and the ties before it.
+        """
         local = {name: values[self.outside(name)] for name in self.resolved.untied}
         for name, tie in self.tied.items():
-            local[name] = evaluated(
-                tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"
-            )
+            values_so_far = Names(local, f"the problem {self.name!r}, at this tie,")
+            local[name] = evaluated(tie, values_so_far, f"tied[{name!r}]")
         return Names({name: local[name] for name in self.declared}, self.model.label)
 
     @property
     def local_starts(self) -> Names:
-        """The start values of the parameters by inside name, ties evaluated."""
+        """Start values of all parameters by inside name."""
         return self.local_values({name: p.start for name, p in self.parameters.items()})
 
     def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
@@ -327,9 +341,10 @@ class Problem(Addable):
 
     def with_(self, **changes: Any) -> Self:
         """Return the problem with some fields changed; a criterion that was left out remains so."""
-        # A sum may choose another default later.
-        left_out = {"criterion": None} if self.has_default_criterion else {}
-        return replace(self, **{**left_out, **changes})
+        # A default criterion is chosen again, because that of a sum may be another.
+        if self.has_default_criterion:
+            changes = {"criterion": None, **changes}
+        return replace(self, **changes)
 
     def __repr__(self) -> str:
         return one_line(

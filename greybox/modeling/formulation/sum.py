@@ -1,6 +1,5 @@
 """Problems that are solved together: costs add, parameters with the same name are shared."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from functools import cached_property
@@ -25,7 +24,7 @@ Part = TypeVar("Part", bound=Any)
 
 
 class Addable:
-    """What `+` and the built-in `sum` join to a `Sum`."""
+    """The base class of problems and sums: `+` and the built-in `sum` join them to a `Sum`."""
 
     @property
     def as_added(self: Any) -> tuple[Any, ...]:
@@ -33,7 +32,7 @@ class Addable:
         return self.parts
 
     def parts_with(self: Any, kind: Any) -> list[Any]:
-        """Return the parts with data of a kind, such as `Record`."""
+        """Return the parts whose data are of a class, such as `Record`."""
         return [part for part in self.parts if isinstance(part.data, kind)]
 
     def __add__(self, other: Any) -> "Sum[Any]":
@@ -86,27 +85,27 @@ class Sum(Addable, Generic[Part]):
         self._check_ties()
 
     def _check_ties(self) -> None:
-        """Require that a name tied in one part is tied alike, or absent, in all others."""
+        """Require that a parameter tied in one part is tied alike, or absent, in all others.
+
+        Functions cannot be compared, so that their values are: at the start and at four random
+        points, where different formulas agree with probability zero. One point is not enough, since
+        formulas may be undefined there.
+        """
         merged = self.parameters
-        # Functions cannot be compared, so their values are.
         # Bounds may be infinite.
         low, high = np.clip(lower_and_upper(merged.values()), -1e3, 1e3)
-
-        # Different formulas agree at a random point with probability zero; there are four points,
-        # since formulas may be undefined in places.
         drawn = np.random.default_rng(0).uniform(low, high, (4, len(merged)))
-        points = [start_values(merged), *drawn]
+        points = [dict(zip(merged, point, strict=True)) for point in (start_values(merged), *drawn)]
 
-        seen: dict[str, list[float]] = {}
+        # The values (5,) of every tied parameter, as its first part ties it.
+        first_values: dict[str, list[float]] = {}
         for part in self.parts:
             for name in part.tied:
                 outside = part.outside(name)
-                values = [
-                    part.local_values(dict(zip(merged, point, strict=True)))[name]
-                    for point in points
-                ]
-                alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
-                if outside in merged or not alike:
+                values = [part.local_values(point)[name] for point in points]
+                expected = first_values.setdefault(outside, values)
+                is_alike = np.allclose(expected, values, equal_nan=True)
+                if outside in merged or not is_alike:
                     raise ValueError(
                         f"{outside!r} is tied in {part.name!r} and free or tied differently in "
                         "another part: tie it alike in all, or give one another name, "
@@ -114,7 +113,7 @@ class Sum(Addable, Generic[Part]):
                     )
 
     def with_parts(self, parts: Sequence[Part]) -> "Sum[Part]":
-        """Return the sum of other parts in place of these, under the same name."""
+        """Return the sum of other parts, under the same name."""
         return Sum(tuple(parts), self.name)
 
     @property
@@ -130,10 +129,13 @@ class Sum(Addable, Generic[Part]):
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """Earlier fits among the fixed values, by outside name."""
-        return {name: held for part in self.parts for name, held in part.held_estimates.items()}
+        estimates: dict[str, HeldEstimate] = {}
+        for part in self.parts:
+            estimates |= part.held_estimates
+        return estimates
 
     def with_(self, **changes: Any) -> "Sum[Part]":
-        """Return the same sum with fields of every part changed (`name` is that of the sum)."""
+        """Return the sum with these fields changed in every part; `name` is that of the sum."""
         name = changes.pop("name", self.name)
         return Sum(tuple(part.with_(**changes) for part in self.as_added), name)
 
@@ -142,28 +144,29 @@ class Sum(Addable, Generic[Part]):
 
 
 def _joined_names(parts: Sequence[Any]) -> str:
-    """Return the names of the parts; more than eight do not fit into a line."""
+    """Return the names of the parts in one line, which has room for about eight."""
     names = unique(part.name for part in parts)
     if len(names) > 8:
-        names = *names[:2], "...", f"{names[-1]} ({len(names)} in all)"
+        names = (*names[:2], "...", f"{names[-1]} ({len(names)} in all)")
     return " + ".join(names)
 
 
 def _require_data_once(problem: Sum[Any]) -> None:
-    """Refuse a record together with a response or spectrum estimated from a stretch of it.
+    """Refuse a record together with a response or spectrum that was estimated from it.
 
-    Their errors are the same, so that adding their likelihoods would count the information twice.
+    Both have the same errors, so that the sum of their likelihoods would count the information
+    twice.
 
     Raises
     ------
     ValueError
-        With the stretch.
+        With the times of the common data.
     """
     records = problem.parts_with(Record)
     for part in problem.parts:
         for stretch in part.kind.source_stretches(part.data):
             for record in records:
-                if _holds(record.data, stretch):
+                if _contains(record.data, stretch):
                     raise ValueError(
                         f"{part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s "
                         f"of the record {record.name!r}, which would count the same data twice: "
@@ -172,8 +175,8 @@ def _require_data_once(problem: Sum[Any]) -> None:
                     )
 
 
-def _holds(record: Record, stretch: Stretch) -> bool:
-    """Return whether a record has samples of a stretch."""
+def _contains(record: Record, stretch: Stretch) -> bool:
+    """Return whether a record contains more than one sample of a stretch of a log."""
     # One common sample is not an overlap: stretches of a log may share their ends.
     first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
     return record.checksum == stretch.checksum and int(last - first) > 1
@@ -182,9 +185,9 @@ def _holds(record: Record, stretch: Stretch) -> bool:
 def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with criteria whose costs may be added.
 
-    Negative log-likelihoods add for all data. If one criterion is a likelihood, as that of every
-    record, a response without a criterion of its own gets `RelativeLikelihood` instead of
-    `RelativeError`. Other costs have different scales: they add only if criterion and settings are
+    Negative log-likelihoods of any data add. If one criterion is a likelihood, as that of every
+    record is, a response without a stated criterion has `RelativeLikelihood` instead of
+    `RelativeError`. Other costs have different scales, and add only if criterion and settings are
     the same.
 
     Raises
@@ -192,18 +195,23 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     ValueError
         If one criterion is a likelihood and another is not, or if two others differ.
     """
-    # One likelihood makes the sum one: all others must be likelihoods too.
+    # If one part is a likelihood, the sum is one, and all other parts must be likelihoods, too.
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
-    if likelihood:
-        parts = [
-            part.with_(criterion=RelativeLikelihood())
-            if part.has_default_criterion and not part.criterion.is_likelihood
-            else part
-            for part in parts
-        ]
     first = likelihood or parts[0]
+    adding = []
     for part in parts:
-        if not (part.criterion.is_likelihood if likelihood else part.criterion == first.criterion):
+        if likelihood and part.has_default_criterion and not part.criterion.is_likelihood:
+            part_that_adds = part.with_(criterion=RelativeLikelihood())
+        else:
+            part_that_adds = part
+        adding.append(part_that_adds)
+
+    for part in adding:
+        if likelihood:
+            is_addable = part.criterion.is_likelihood
+        else:
+            is_addable = part.criterion == first.criterion
+        if not is_addable:
             raise ValueError(
                 f"{part.name!r} has the criterion {part.criterion!r} and {first.name!r} "
                 f"{first.criterion!r}: costs of different criteria add only where both are "
@@ -212,45 +220,52 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
                 "known."
             )
 
-    return tuple(parts)
+    return tuple(adding)
 
 
 def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
-    """Yield the parts with biases numbered by the record, where several records have one.
+    """Yield the parts with the names of sensor biases numbered, if several records have them.
 
-    Equal names of parts are numbered, too: flights of one model are often all named like it. Parts
-    of one record share its biases. A bias is not numbered, so that records can share it, if a
-    part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
+    Parts of one record share its biases. A bias that a part renames, even to its own name, is not
+    numbered: records can so share it. Nor is one that is fixed at an earlier fit, where it has this
+    name. Equal names of parts are numbered, too: flights of one model are often all named like it.
     """
+    # The number of the record of every part.
     numbers = _record_numbers(parts)
-    outside = [{part.outside(name) for name in part.declared} for part in parts]
-    names_in_use = set().union(*outside)
+    outside_names = [{part.outside(name) for name in part.declared} for part in parts]
+    names_in_use = set().union(*outside_names)
 
+    # The new name of a bias, by its name and the number of its record.
     numbered: dict[tuple[str, int], str] = {}
     part_names = numbered_where_alike([part.name for part in parts])
     for part, record, part_name in zip(parts, numbers, part_names, strict=True):
         renamed = {}
         for name in part.criterion.bias_names:
-            # An earlier fit has the name of its bias.
             is_held = isinstance(part.fixed_values.get(name), HeldEstimate)
             if name in part.rename or is_held:
                 continue
             # A bias that only one record has keeps its plain name.
-            owners = {k for k, names in zip(numbers, outside, strict=True) if name in names}
-            if len(owners) > 1:
-                if (name, record) not in numbered:
-                    candidates = (f"{name}_{k}" for k in itertools.count(record))
-                    new = next(name for name in candidates if name not in names_in_use)
-                    numbered[name, record] = new
-                    names_in_use.add(new)
-                renamed[name] = numbered[name, record]
+            owners = {
+                owner for owner, names in zip(numbers, outside_names, strict=True) if name in names
+            }
+            if len(owners) < 2:
+                continue
+            if (name, record) not in numbered:
+                number = record
+                while f"{name}_{number}" in names_in_use:
+                    number += 1
+                numbered[name, record] = f"{name}_{number}"
+                names_in_use.add(f"{name}_{number}")
+            renamed[name] = numbered[name, record]
 
-        changes = {"name": part_name, "rename": {**part.rename, **renamed}}
-        yield part.with_(**changes) if renamed or part_name != part.name else part
+        if renamed or part_name != part.name:
+            yield part.with_(name=part_name, rename={**part.rename, **renamed})
+        else:
+            yield part
 
 
 def _record_numbers(parts: Sequence[Any]) -> list[int]:
-    """Return the number of the record of every part, from one; zero for other data."""
+    """Return the number of every part's record, counted from one; zero for other data."""
     distinct: dict[Any, int] = {}
     numbers = []
     for part in parts:

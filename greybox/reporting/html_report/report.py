@@ -54,7 +54,8 @@ def report(
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        Several are shown side by side; of a study, the first twelve members in detail. For a fit
+        None, ``[]``, for margins of a loop that was only measured. Several are shown side by side;
+        of a study, the first twelve members in detail. For a fit
         that was loaded without its model the page shows the contents of the file, and says what it
         cannot draw.
     path : str or Path
@@ -74,7 +75,8 @@ def report(
     Raises
     ------
     TypeError, ValueError
-        For an object that is not a fit, for no fit, or for a path that does not end in ``.html``.
+        For an object that is not a fit, for neither a fit nor margins, or for a path that does
+        not end in ``.html``.
     OSError
         If the folder cannot be written.
 
@@ -105,11 +107,13 @@ def report(
                 entries.append(Entry(next(labels), result, result.to_dict()))
             else:
                 entries += members_of(result)
-        if not entries:
-            raise ValueError("there is nothing to report: give at least one fit.")
+        if not entries and not loops:
+            raise ValueError("there is nothing to report: give at least one fit, or margins.")
 
         default = f"{counted(len(entries), 'result')} side by side"
-        if len(entries) == 1:
+        if not entries:
+            default = "Stability margins"
+        elif len(entries) == 1:
             default = entries[0].answer.get("problem", entries[0].label)
         studies = [result for result in results if isinstance(result, Study)]
         appended = [*margin_section(loops), *gain_section(gains)]
@@ -181,6 +185,8 @@ def page(
     """Return the page of these results, and of `titled` sections about their loops, as HTML."""
     appended = list(starmap(_section, titled))
     fits = [entry.fit for entry in entries if entry.fit is not None]
+    if not entries:
+        return _document(title, appended, author)
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
         sections = starmap(_section, fit_section(entries[0]))

@@ -34,13 +34,13 @@ class Controller(ABC):
     Attributes
     ----------
     states : sequence of str
-        What it carries from one sample to the next.
+        Values that it keeps from one sample to the next.
     inputs : sequence of str
-        What it measures.
+        Measured signals.
     setpoints : sequence of str
-        Commands; each is zero unless an excitation or a controller before it provides it.
+        Commands. A setpoint is zero unless an excitation or an earlier controller provides it.
     outputs : sequence of str
-        Controls, and whatever else is to be logged.
+        Controls, and other signals for the log.
     units : mapping of signal name to str
     rate : float, Hz
     parameters : mapping of name to `Parameter`
@@ -52,10 +52,10 @@ class Controller(ABC):
         Gains other than the declared starts.
     rate : float, Hz, optional
     signals : mapping of str to str, optional
-        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes a
-        pitch controller control roll.
+        The name in the loop for a name in the class, if they differ: with
+        ``{"theta": "phi", "q": "p"}`` a pitch controller controls roll.
     initial : mapping of state name to float, optional
-        States at the first sample, where they are not zero.
+        States at the first sample; by default zero.
 
     Raises
     ------
@@ -93,7 +93,8 @@ class Controller(ABC):
         initial: Values | None = None,
     ) -> None:
         label = type(self).__name__
-        values, initial = values or {}, initial or {}
+        values = values or {}
+        initial = initial or {}
         rate = self.rate if rate is None else rate
         self.signals = MappingProxyType(dict(signals or {}))
         require_known(values, self.parameters, "parameter", label)
@@ -110,25 +111,29 @@ class Controller(ABC):
                 f"{label} cannot run {self.rate:g} times per second: give a rate above 0, in Hz."
             )
         self.values = Names(
-            {n: float(values.get(n, p.start)) for n, p in self.parameters.items()}, label
+            {
+                name: float(values.get(name, parameter.start))
+                for name, parameter in self.parameters.items()
+            },
+            label,
         )
         self.initial = tuple(float(initial.get(name, 0.0)) for name in self.states)
 
     @abstractmethod
     def update(self, x: Any, u: Any, p: Any) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return the states of the next sample and the outputs of this one, in the order declared.
+        """Return the states of the next sample and the outputs of this one, in the declared order.
 
-        `x` holds the states, `u` the inputs and setpoints, `p` the parameter values, all by name;
-        write the formula with `gb.minimum`, `gb.where` and friends.
+        `x` has the states, `u` the inputs and setpoints, and `p` the parameter values, all by name.
+        Use `gb.minimum`, `gb.where` and similar functions in the formula.
         """
 
     def outside(self, name: str) -> str:
-        """Return the name of an own signal in the loop."""
+        """Return the name in the loop of a signal of this controller."""
         return self.signals.get(name, name)
 
     @property
     def truth(self) -> dict[str, Any]:
-        """Everything that a flight with it depends on, for the metadata of its record."""
+        """Everything on which a flight with this controller depends, for the record's metadata."""
         return {
             "controller": type(self).__name__,
             "rate": self.rate,
@@ -138,85 +143,97 @@ class Controller(ABC):
         }
 
     def __repr__(self) -> str:
-        values = {n: v for n, v in self.values.items() if v != self.parameters[n].start}
-        arguments = [f"{values}"] if values else []
-        arguments += [f"rate={self.rate:g}"] if self.rate != type(self).rate else []
-        arguments += [f"signals={dict(self.signals)}"] if self.signals else []
+        changed_values = {
+            name: value
+            for name, value in self.values.items()
+            if value != self.parameters[name].start
+        }
+        arguments = []
+        if changed_values:
+            arguments.append(f"{changed_values}")
+        if self.rate != type(self).rate:
+            arguments.append(f"rate={self.rate:g}")
+        if self.signals:
+            arguments.append(f"signals={dict(self.signals)}")
         return f"{type(self).__name__}({', '.join(arguments)})"
 
 
-Controllers = Controller | Sequence[Controller]  # in the order in which they run
+# One controller, or several in the order in which they run.
+Controllers = Controller | Sequence[Controller]
 
 
 def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.SX, ca.SX]:
-    """Evaluate `update` on expressions: the next states (n,) and the outputs (m,).
+    """Return the next states (n,) and the outputs (m,) of a controller as expressions.
 
-    `u` maps the controller's own inputs and setpoints to expressions.
+    `x` (n,) are its states, and `u` its inputs and setpoints by name.
 
     Raises
     ------
     ValueError
-        With the cure, if the formula cannot be compiled or returns another number of values.
+        If the formula cannot be compiled, or returns another number of values.
     """
     label = type(controller).__name__
     states = Names(entries_by_name(controller.states, x), f"{label}.states")
     signals = Names(u, f"{label}.inputs and setpoints")
     returned = traced(f"{label}.update", controller.update, states, signals, controller.values)
     pair = returned if isinstance(returned, tuple) and len(returned) == 2 else ((), ())
-    following, outputs = (v if isinstance(v, Sequence) else () for v in pair)
-    if (len(following), len(outputs)) != (len(controller.states), len(controller.outputs)):
+    next_states, outputs = (part if isinstance(part, Sequence) else () for part in pair)
+    if (len(next_states), len(outputs)) != (len(controller.states), len(controller.outputs)):
         raise ValueError(
             f"{label}.update returns {returned!r:.60}: return two tuples, the next states "
             f"({', '.join(controller.states) or 'none'}) and the outputs "
             f"({', '.join(controller.outputs)})."
         )
-    return column(f"{label}.update", following), column(f"{label}.update", outputs)
+    return column(f"{label}.update", next_states), column(f"{label}.update", outputs)
 
 
 def outside_names(controllers: Sequence[Controller], *kinds: str) -> list[str]:
-    """Return the names in the loop of signals of these kinds, such as "setpoints"."""
-    return [c.outside(name) for c in controllers for kind in kinds for name in getattr(c, kind)]
+    """Return the names in the loop of all signals of these kinds, such as "setpoints"."""
+    names = []
+    for controller in controllers:
+        for kind in kinds:
+            names += map(controller.outside, getattr(controller, kind))
+    return names
 
 
-def connected(
-    controller: Controllers | None, plant: str, system: Dynamics
-) -> tuple[Controller, ...]:
-    """Return the controllers of a loop, if they fit the system of this plant and one another.
+def connected(stated: Controllers | None, plant: str, system: Dynamics) -> tuple[Controller, ...]:
+    """Return the controllers of a loop as a tuple, once they fit the plant and each other.
 
     Raises
     ------
     ValueError
-        If a controller drives nothing, if a signal is driven twice or has the name of an output
-        or a state, if the order is wrong, or if the rates differ.
+        If nothing takes the outputs of a controller, if two signals have the same name, if the
+        order is wrong, or if the rates differ.
     TypeError
-        If one is not a controller.
+        For anything but controllers.
     """
     cure = "an instance, as AttitudeController() or LinearLaw(control.tf(...), rate=400)"
-    given = () if controller is None else controller
-    controllers = checked_items("the controller", given, Controller, cure)
+    controllers = checked_items(
+        "the controller", () if stated is None else stated, Controller, cure
+    )
     inputs = system.inputs
     driven_by_plant = {*system.outputs, *system.states}
     driven: set[str] = set()
-    for k, c in enumerate(controllers):
-        label = type(c).__name__
+    for k, controller in enumerate(controllers):
+        label = type(controller).__name__
         first = controllers[0]
-        if c.rate != first.rate:
+        if controller.rate != first.rate:
             raise ValueError(
-                f"{label} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use "
-                "one rate."
+                f"{label} runs at {controller.rate:g} Hz, {type(first).__name__} at "
+                f"{first.rate:g} Hz: use one rate."
             )
 
-        provides = {*map(c.outside, c.outputs)}
-        commanded = {*map(c.outside, c.setpoints)}
+        provides = {*map(controller.outside, controller.outputs)}
+        commanded = {*map(controller.outside, controller.setpoints)}
         read_next = outside_names(controllers[k + 1 :], "inputs", "setpoints")
         if not provides & {*inputs, *read_next}:
             raise ValueError(
-                f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
-                f"{', '.join(inputs) or 'none'}: connect them, "
-                f"signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
+                f"{label} gives {', '.join(map(controller.outside, controller.outputs))}, but "
+                f"{plant} takes {', '.join(inputs) or 'none'}: connect them, "
+                f"signals={{{controller.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
             )
 
-        # A signal of two sources would be overwritten without notice.
+        # If two sources provided a signal, one would be overwritten without notice.
         twice = provides & driven | (provides | commanded) & driven_by_plant
         if twice:
             raise ValueError(
@@ -241,24 +258,42 @@ def run_controllers(
     signals: dict[str, Any],
     added: Mapping[str, Any],
 ) -> list[ca.SX]:
-    """Run controllers in their order, and return their next states.
+    """Run controllers in their order, and return the next states of each.
 
-    Their outputs, with what is `added`, go to `signals`, where the next ones find their setpoints;
-    a setpoint that is not there is zero.
+    Their outputs are added to `signals`, from which later controllers take inputs and setpoints.
+
+    Parameters
+    ----------
+    controllers : sequence of Controller
+    memory : sequence of (n,) expressions
+        The states of each.
+    measured : mapping of name to expression
+        Signals of sensors.
+    signals : dict of name to expression
+        Other signals of the loop; changed in place. A setpoint that is not among them is zero.
+    added : mapping of name to expression
+        The excitation, which is added to outputs of the same name.
     """
-    following = []
+    next_states = []
     for controller, state in zip(controllers, memory, strict=True):
-        u = {n: {**signals, **measured}[controller.outside(n)] for n in controller.inputs}
-        u |= {n: signals.get(controller.outside(n), ca.SX(0)) for n in controller.setpoints}
+        available = {**signals, **measured}
+        u = {}
+        for name in controller.inputs:
+            u[name] = available[controller.outside(name)]
+        for name in controller.setpoints:
+            u[name] = signals.get(controller.outside(name), ca.SX(0))
         next_state, outputs = updated(controller, state, u)
-        following.append(next_state)
+        next_states.append(next_state)
         for k, name in enumerate(map(controller.outside, controller.outputs)):
             signals[name] = outputs[k] + added.get(name, 0)
-    return following
+    return next_states
 
 
 def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
-    """Return what controllers read from the plant: inputs that no controller provides."""
+    """Return the signals that controllers read from the plant.
+
+    These are the inputs that no controller provides.
+    """
     provided = outside_names(controllers, "outputs")
     names = outside_names(controllers, "inputs")
     return unique(name for name in names if name not in provided)

@@ -21,6 +21,7 @@ from greybox.workflows.experiment.simulated_flights import FlightCounts
 SMALL = 0.01  # change of a number below which nobody cares
 # Units whose differences are shown, and not their ratios
 ABSOLUTE = {"dB": " dB", "deg": " deg", "%": " points"}
+JUDGEMENTS = ("better", "as good", "may be worse", "worse")
 NOTHING_LEFT = 1e-12  # what rounding leaves of the response to an input without effect
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides
 
@@ -76,9 +77,9 @@ class GainChange:
     def difference(self) -> str:
         """The change with its sign: in percent of today's number, or in dB, degrees or points."""
         if math.isinf(self.changed):
-            return "now infinite"
+            return "infinite"
         if math.isinf(self.today):
-            return "no longer infinite"
+            return "finite"
         if self.unit in ABSOLUTE:
             return _signed(self.changed - self.today, ABSOLUTE[self.unit])
         change = self.changed / self.today - 1 if self.today else math.nan
@@ -202,16 +203,22 @@ class GainComparison(Printed):
         return tuple(lines)
 
     def __str__(self) -> str:
-        header, rows = self.table()
-        header[0] = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
-        return "\n".join([text_table(header, rows, left=(0, 1, 5)), *self.remarks])
+        header, all_rows = self.table()
+        gains = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
+        # What is better comes first; the rows of one judgement stand together.
+        rows = []
+        for judgement in JUDGEMENTS:
+            judged = [row[:-1] for row in all_rows if row[-1] == judgement]
+            rows += [(f"{judgement}:", "", "", "", ""), *judged] if judged else []
+        table = text_table(header[:-1], rows, left=(0, 1))
+        return "\n".join([f"{header[3].capitalize()}: {gains}.", table, *self.remarks])
 
 
 def _signed(value: float, unit: str) -> str:
     """Return a change with its sign; rounding errors are zero."""
     if math.isnan(value):
         return "-"
-    rounded = value if math.isinf(value) else round(value, 3)
+    rounded = value if math.isinf(value) else round(value, 1)
     return f"{'+' if rounded > 0 else ''}{number(rounded + 0.0, 3)}{unit}"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.data.files.folded_text import folded
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import attributes
@@ -175,19 +176,37 @@ class Margins(Printed):
         )
 
     def __str__(self) -> str:
+        return self.beside()
+
+    def beside(self, *measured: "Margins") -> str:
+        """Return the text of these margins, with a column for each of the same loop, measured."""
+        columns = [{m.name: m for m in answer.margins} for answer in (self, *measured)]
         rows, group = [], ""
-        for m in self.margins:
+        for margin in filter(self._is_told, self.margins):
             # Every group begins with its name.
-            if m.group != group:
-                group = m.group
-                rows.append((f"{group}:", "", "", "", ""))
-            ends = f"{number(m.low, 4)} to {number(m.high, 4)}" if math.isfinite(m.low) else "-"
-            place = number(m.omega, 4) + (" *" if m.is_extrapolated else "")
-            rows.append((m.name, number(m.value, 4), ends, m.unit, place))
-        interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
-        header = ("", "value", interval, "unit", "at rad/s")
+            if margin.group != group:
+                group = margin.group
+                rows.append((f"{group}:", *[""] * (len(columns) + 2)))
+            values = [
+                with_interval(by_name[margin.name]) if margin.name in by_name else "-"
+                for by_name in columns
+            ]
+            place = number(margin.omega, 3) + (" *" if margin.is_extrapolated else "")
+            rows.append((margin.name, *values, margin.unit, place))
+        interval = "" if math.isnan(self.level) else f" ({100 * self.level:g} %)"
+        names = ["measured" if len(measured) == 1 else answer.plant for answer in measured]
+        first = "of the model" if measured else "value"
+        header = ("", f"{first}{interval}", *names, "unit", "rad/s")
         table = [text_table(header, rows)] if rows else []
-        return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
+        lines = [self.verdict[0].upper() + self.verdict[1:], *table, *self.notes]
+        return folded("\n".join(lines))
+
+    def _is_told(self, margin: Margin) -> bool:
+        """Return whether a margin at one of several crossings is not a main one once more."""
+        if not margin.name[-1].isdigit():
+            return True
+        main = (m for m in self.margins if not m.name[-1].isdigit())
+        return all(m.omega != margin.omega or abs(m.value) != abs(margin.value) for m in main)
 
 
 def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
@@ -211,6 +230,8 @@ def with_interval(margin: Margin) -> str:
     """Return the value of a margin, and its interval in brackets."""
     if not math.isfinite(margin.value):
         return "infinity" if margin.value > 0 else "unknown"
-    if not math.isfinite(margin.high - margin.low):
+    if not math.isfinite(margin.low):
         return number(margin.value, 3)
+    if not math.isfinite(margin.high):
+        return f"{number(margin.value, 3)} (above {number(margin.low, 3)})"
     return f"{number(margin.value, 3)} ({number(margin.low, 3)} to {number(margin.high, 3)})"

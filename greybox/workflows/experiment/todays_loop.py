@@ -31,7 +31,7 @@ from greybox.workflows.experiment.sampled_loop import DOT, LinearController, Sam
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 SENSITIVITY = "peak |S|"
 MARGINS = {"phase margin": "deg", "gain margin": "dB", "gain reduction margin": "dB"}
-NOISE, PEAK = "noise from ", "peak response of "  # how names of rows begin
+NOISE, PEAK = "noise from ", "peak of "  # how names of rows begin
 REJECTION = "disturbance rejection bandwidth"
 
 
@@ -176,8 +176,8 @@ class TodaysLoop:
         for name in self.inputs:
             for response in self.responses:
                 peak, rms = moment_response(loops, name, response, self.horizon)
-                place = f"{response} to a moment at {name}"
-                rows[f"rms response of {place}"] = Row(rms, "")
+                place = f"{response} from a moment at {name}"
+                rows[f"rms of {place}"] = Row(rms, "")
                 rows[f"{PEAK}{place}"] = Row(peak, "")
         for name in self.inputs:
             for sensor in self.measured:

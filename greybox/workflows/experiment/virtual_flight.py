@@ -38,10 +38,11 @@ from greybox.workflows.experiment.controller import (
 from greybox.workflows.experiment.excitation import Excitation
 from greybox.workflows.experiment.sampled_loop import in_periods, measured_signal
 
-# Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
-# of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
+# Largest relative change of a state, within a controller period, when the substeps are halved. The
+# remaining error is a fifteenth of it: in a loop of 400 Hz, 3e-6 per second if all errors add up.
 TOLERANCE = 1e-7
-MOST_SUBSTEPS = 256  # in a controller period; the size of a compiled step grows with them
+# Most substeps in a controller period. The size of a compiled step grows with their number.
+MOST_SUBSTEPS = 256
 
 ADDED = "_excitation"  # suffix of the excitation of a signal
 
@@ -61,60 +62,64 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
 ) -> Record:
     """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone.
 
-    At every sample the controller reads the sensors and sets the control, which is held until the
-    next sample and reaches the plant after its delay, exact to any fraction of a sample. The log
-    has the sensor values that the controller reads, and the control commanded at that moment.
-    Because the control is held, a response measured from such a log, or from a flown one, has half
-    a controller period more delay than the plant; a fit divides the hold out.
+    At every sample the controller reads the sensors and sets the control. The control is held until
+    the next sample, and reaches the plant after its delay, which may be any fraction of a sample.
+    The log contains the sensor values that the controller reads, and the control that it commands
+    at that moment. Because the control is held, a response that is measured from such a log, or
+    from one of a real flight, has half a controller period more delay than the plant. A fit divides
+    the response by that of the hold.
 
-    Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved
-    until this changes no state by more than 1e-7 of its largest value in any period; the remaining
-    error is a fifteenth of that.
+    Between samples the plant is integrated by classical Runge-Kutta steps (RK4). The steps are
+    halved until this changes no state by more than 1e-7 of its largest value in any period. The
+    remaining error is a fifteenth of that.
 
     Parameters
     ----------
     model : Model
-        Delays are exact; a transfer function is flown by its outputs only.
+        Delays are exact. A transfer function has no states by name: only its output is measured.
     values : mapping of parameter name to float, optional
         The true values; by default the declared starts.
     excitation : Excitation or mapping of name to (n,) array
-        Each signal is added to the signal of its name: a setpoint of the controller
-        (``"reference"``, ``"mixer"``), or an input of the plant (``"u"``), downstream of the
-        controller and its limits. The arrays of a mapping have one sample per sample of the loop.
-    controller : Controller or several, optional
+        Each signal is added to the signal of the same name. This is a setpoint of the controller
+        (``"reference"``, ``"mixer"``) or an input of the plant (``"u"``), downstream of the
+        controller and its limits. The arrays of a mapping have one entry for every sample of the
+        loop.
+    controller : Controller or sequence of Controller, optional
         It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of
-        ``"theta"``. The outputs of one may be setpoints or inputs of the next. Without a
-        controller, the plant flies in open loop, at the rate of the excitation.
+        ``"theta"``. The outputs of a controller may be setpoints or inputs of the next one. Without
+        a controller, the plant flies in open loop, at the rate of the excitation.
     noise : mapping of name to float
-        Standard deviation of the white noise of a sensor. A state or a derivative that is named
-        here is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
+        Standard deviation of the white noise of a sensor. A state or a derivative with a name here
+        is measured and logged in addition to the outputs; ``{"q": 0.0}`` measures q without error.
     process_noise : mapping of state name to float
-        White noise on the derivative of a state, in units of the state per √s: alone it makes the
-        state a random walk with a standard deviation of that times √t. It is held over a controller
-        period.
+        White noise on the derivative of a state, in units of the state per √s. A state that is
+        driven by noise s alone is a random walk with a standard deviation of s √t. The noise is
+        constant during a controller period.
     initial : mapping of name to float
-        Initial states, and inputs before the first command (and throughout, if nothing commands
-        them); by default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an
+        Initial states, and inputs before the first command; by default zero. An input that nothing
+        commands keeps this value. ``gb.modeling.linearize(model, values, at).point`` begins at an
         operating point.
     rate : float, Hz, optional
-        Rate of the loop without a controller; by default that of the excitation. Arrays need it.
+        Rate of the loop without a controller, by default that of the excitation. Required if the
+        excitation is a mapping of arrays.
     seed : int
-        Seed of the noise; sensors and process noise have random streams of their own.
+        Seed of the noise. Sensors and process noise have separate random streams.
     name : str
+        Name of the record; by default it contains the model's.
 
     Returns
     -------
     Record
-        The control of every input before its delay (excitation included), the excitation, the
-        measured signals, and other outputs of the controllers. `Record.hold` states that controls
-        and setpoints are held, and that measured signals are not. `metadata` has the true values:
-        ``plant, values, controllers, noise, process_noise, initial, seed, schedule``; `findings`
-        say so if the integration did not reach its accuracy.
+        The control of every input before its delay, with the excitation included; the excitation,
+        the measured signals, and other outputs of the controllers. `Record.hold` states that
+        controls and setpoints are held, and that measured signals are not. `metadata` has the true
+        values: ``plant, values, controllers, noise, process_noise, initial, seed, schedule``. A
+        sentence in `findings` tells if the integration did not reach its accuracy.
 
     Raises
     ------
     ValueError
-        For names that do not match, and a flight that diverges; the sentence says when.
+        If names do not match, or if the flight diverges; the message says when.
 
     Examples
     --------
@@ -138,9 +143,9 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     clock = float(clock or test.rate)
     places = (*outside_names(controllers, "setpoints"), *system.inputs)
     require_known(test.signals, places, "place for", model.label)
-    # A controller may run faster than the test signal is sampled.
+    # The rate of the controller may be higher than that of the test signal.
     time = np.arange(math.floor(test.time[-1] * clock + 1e-6) + 1) / clock
-    commands = {n: np.interp(time, test.time, v) for n, v in test.signals.items()}
+    commands = {name: np.interp(time, test.time, samples) for name, samples in test.signals.items()}
 
     loop = _Loop(
         model.label,
@@ -153,41 +158,62 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         forced=tuple(process_noise),
         initial=_checked("initial", initial, (*system.states, *system.inputs)),
     )
-    sensed = _checked("noise", noise, loop.measured, low=0)
-    # Sensors and process noise have streams of their own: adding a sensor must not change the wind.
-    errors = _draws(seed, 0, loop.measured, sensed, time.size)
-    forced = _checked("process_noise", process_noise, system.states, low=0)
-    forces = _draws(seed, 1, loop.forced, forced, time.size) * math.sqrt(clock)
+    # Sensors and process noise have separate random streams, so that another sensor does not change
+    # the wind.
+    deviations = _checked("noise", noise, loop.measured, low=0)
+    errors = _draws(seed, 0, loop.measured, deviations, time.size)
+    deviations = _checked("process_noise", process_noise, system.states, low=0)
+    forces = _draws(seed, 1, loop.forced, deviations, time.size) * math.sqrt(clock)
     log, findings = _fly(loop, np.vstack([*commands.values(), errors, forces]), time)
 
-    # With the true values, a record of a virtual flight can be judged later.
+    # With the true values, estimates from this record can be judged later.
     metadata = {
         "plant": repr(model),
         "values": dict(truth),
-        "controllers": tuple(c.truth for c in controllers),
+        "controllers": tuple(controller.truth for controller in controllers),
         "noise": dict(noise),
         "process_noise": dict(process_noise),
         "initial": dict(loop.initial),
         "seed": seed,
         "schedule": test.schedule,
     }
-    units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()}
+    units: dict[str, str] = {}
+    for law in controllers:
+        units |= {law.outside(own_name): unit for own_name, unit in law.units.items()}
     units |= test.units
     return Record(
         time,
         log,
-        {n: units.get(n.removesuffix(ADDED), "") for n in log},
+        {signal: units.get(signal.removesuffix(ADDED), "") for signal in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
-        # In seconds, which remain right where a log is thinned.
-        hold={n: CONTINUOUS if n in loop.measured else 1 / clock for n in log},
+        # Holds in seconds remain correct if the log is thinned later.
+        hold={signal: CONTINUOUS if signal in loop.measured else 1 / clock for signal in log},
         findings=findings,
     )
 
 
 @frozen
 class _Loop:
-    """The plant with its true values, and which signals are connected."""
+    """A plant with its true values in a loop with controllers.
+
+    Attributes
+    ----------
+    label : str
+        Name of the plant.
+    system : Dynamics
+    p : (k,) array
+        Values of the parameters.
+    controllers : tuple of Controller
+    clock : float, Hz
+        Rate of the loop.
+    excited : tuple of str
+        Signals to which an excitation is added.
+    measured : tuple of str
+    forced : tuple of str
+        States with process noise.
+    initial : mapping of name to float
+    """
 
     label: str
     system: Dynamics
@@ -201,129 +227,154 @@ class _Loop:
 
     @cached_property
     def delays(self) -> tuple[list[int], list[float]]:
-        """Whole controller periods in the delay of every input, and the remaining fractions."""
+        """Whole controller periods in the delays of all inputs (m,), and remaining fractions."""
         delays = np.asarray(self.system.delay(self.p)).ravel()
-        whole, part = in_periods(delays, 1 / self.clock, self.system.inputs)
-        return whole.tolist(), part.tolist()
+        whole, fraction = in_periods(delays, 1 / self.clock, self.system.inputs)
+        return whole.tolist(), fraction.tolist()
 
     def start(self) -> Array:
-        """Return the initial state of the first step: plant, controllers, past controls."""
-        plant = [self.initial.get(n, 0.0) for n in self.system.states]
-        past = [
-            [self.initial.get(n, 0.0)] * (count + 1)
-            for n, count in zip(self.system.inputs, self.delays[0], strict=True)
-        ]
-        return np.concatenate([plant, *(c.initial for c in self.controllers), *past])
+        """Return the state before the first step: those of plant and controllers, past controls."""
+        plant = [self.initial.get(name, 0.0) for name in self.system.states]
+        controllers = [controller.initial for controller in self.controllers]
+        whole, _ = self.delays
+        past_controls = []
+        for name, periods in zip(self.system.inputs, whole, strict=True):
+            past_controls.append([self.initial.get(name, 0.0)] * (periods + 1))
+        return np.concatenate([plant, *controllers, *past_controls])
 
 
 def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return every signal of the log by name, at the controller's rate, and findings."""
+    """Return every signal of the log by name, (samples,), and the findings on the flight.
+
+    `columns` (k, samples) are the excitation, the errors of sensors and the process noise.
+    """
     n = len(loop.system.states)
     substeps = 1
     while True:
         step, names = _step(loop, substeps)
-        states, log = (
-            np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns)
-        )
-        flown, local = np.split(log, [len(names) + n])
-        wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
-        reached = np.argmax(wrong.any(axis=0)) if wrong.any() else time.size
+        flight = step.mapaccum("flight", time.size)
+        states, log = map(np.asarray, flight(loop.start(), columns))
+        # The rows of the log: signals and states, then changes of states with twice the substeps.
+        flown, changes = np.split(log, [len(names) + n])
+        # No state of a vehicle in SI units is that large.
+        is_diverged = ~(np.abs(flown) < 1e9)
+        reached = np.argmax(is_diverged.any(axis=0)) if is_diverged.any() else time.size
         with np.errstate(invalid="ignore"):
             error = relative_change(
-                local[:, :reached], flown[len(names) :, :reached], states[:n, :reached]
+                changes[:, :reached], flown[len(names) :, :reached], states[:n, :reached]
             )
-        # A divergence is judged last: too few substeps make a stable flight diverge, or NaN.
+        # The accuracy is judged first: with too few substeps, a stable flight may diverge or
+        # become NaN.
         if not error <= TOLERANCE and substeps < MOST_SUBSTEPS:
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
             continue
-        if wrong.any():
-            labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
-            row = np.flatnonzero(wrong[:, reached])[-1]  # a state, if one is wrong
+        if is_diverged.any():
+            labels = [*map(repr, names), *(f"the state {name!r}" for name in loop.system.states)]
+            # The last row is a state, if one has diverged.
+            row = np.flatnonzero(is_diverged[:, reached])[-1]
             raise ValueError(
                 f"the flight of {loop.label} diverges: {labels[row]} is {flown[row, reached]:.3g} "
                 f"at {time[reached]:.2f} s; give a controller that stabilizes the plant, or a "
                 "smaller excitation."
             )
-        rough = (
-            f"the integration error is {error:.1g} of a state's size in a period: the plant is "
-            "stiff or not smooth"
-        )
-        return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
+        findings = ()
+        if error > TOLERANCE:
+            findings = (
+                f"the integration error is {error:.1g} of a state's size in a period: the plant is "
+                "stiff or not smooth",
+            )
+        # The states come after the signals, and are left out here.
+        return dict(zip(names, flown, strict=False)), findings
 
 
 @one_thread_at_a_time
 def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
-    """Compile one controller period, (all states, a column) -> (all states, log).
+    """Compile one controller period with this number of integration steps.
 
-    Also return the names in the log. The named signals are followed by the plant's states and by
-    their changes if there are twice as many substeps.
+    Returns
+    -------
+    step : casadi.Function
+        (state, column) -> (next state, logged values). The state contains those of plant and
+        controllers, and the past controls of every input. The logged values are the named signals,
+        the states of the plant, and their changes with twice as many integration steps.
+    names : list of str
+        Names of the logged signals.
     """
     system = loop.system
-    periods, parts = loop.delays
+    inputs = range(len(system.inputs))
+    whole, fraction = loop.delays
     x, *_ = system.symbols
-    memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
-    past = [ca.SX.sym(n, count + 1) for n, count in zip(system.inputs, periods, strict=True)]
-    added, errors, forces = (
-        ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced)
-    )
+    memory = [ca.SX.sym("c", len(controller.states)) for controller in loop.controllers]
+    past = [ca.SX.sym(system.inputs[i], whole[i] + 1) for i in inputs]
+    added = ca.SX.sym("e", len(loop.excited))
+    errors = ca.SX.sym("e", len(loop.measured))
+    forces = ca.SX.sym("e", len(loop.forced))
     excitation = entries_by_name(loop.excited, added)
-    signals = {n: ca.SX(loop.initial.get(n, 0.0)) for n in system.inputs} | excitation
+    # The signals of the loop by name; controllers add their outputs below.
+    signals = {name: ca.SX(loop.initial.get(name, 0.0)) for name in system.inputs}
+    signals |= excitation
 
-    def waiting() -> list[ca.SX]:
-        """Return the commanded and the past controls of each input, the newest first."""
-        return [ca.vertcat(signals[n], h) for n, h in zip(system.inputs, past, strict=True)]
+    def queues() -> list[ca.SX]:
+        """Return the commanded control of each input and its past controls, the newest first."""
+        return [ca.vertcat(signals[system.inputs[i]], past[i]) for i in inputs]
 
-    # What acts before the fraction of the delay has passed is one sample older.
-    early = [h[count] for h, count in zip(past, periods, strict=True)]
+    # Until the fraction of a delay has passed, the control of one sample earlier acts.
+    early = [past[i][whole[i]] for i in inputs]
 
-    # A control that is computed from this sample reaches the plant after it.
+    # The inputs that act at the moment of the sample. A control that is computed from this sample
+    # acts only afterwards.
     outputs = outside_names(loop.controllers, "outputs")
     now = []
-    for k, (name, queue) in enumerate(zip(system.inputs, waiting(), strict=True)):
-        is_new = not parts[k] and (periods[k] or name not in outputs)
-        now.append(queue[periods[k]] if is_new else early[k])
-    y = {
-        n: measured_signal(loop.label, system, n, x, ca.vertcat(*now), loop.p) + errors[k]
-        for k, n in enumerate(loop.measured)
-    }
-    remembered = run_controllers(loop.controllers, memory, y, signals, excitation)
-    signals |= {n + ADDED: excitation[n] for n in outputs if n in excitation}
-    late = [queue[count] for queue, count in zip(waiting(), periods, strict=True)]
-    force = ca.SX.zeros(len(system.states))
-    for k, n in enumerate(loop.forced):
-        force[system.states.index(n)] = forces[k]
+    for i, queue in enumerate(queues()):
+        is_known = whole[i] > 0 or system.inputs[i] not in outputs
+        now.append(queue[whole[i]] if is_known and fraction[i] == 0 else early[i])
+    measured = {}
+    for k, name in enumerate(loop.measured):
+        exact = measured_signal(loop.label, system, name, x, ca.vertcat(*now), loop.p)
+        measured[name] = exact + errors[k]
 
-    # Between samples the input changes once, where the fraction of its delay has passed.
+    next_memory = run_controllers(loop.controllers, memory, measured, signals, excitation)
+    signals |= {name + ADDED: excitation[name] for name in outputs if name in excitation}
+    late = [queue[whole[i]] for i, queue in enumerate(queues())]
+    force = ca.SX.zeros(len(system.states))
+    for k, name in enumerate(loop.forced):
+        force[system.states.index(name)] = forces[k]
+
+    # Between samples an input changes once, when the fraction of its delay has passed.
     coarse = fine = x
-    for begin, end in pairwise(sorted({0.0, *parts, 1.0})):
-        u = ca.vertcat(
-            *[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)]
-        )
+    for begin, end in pairwise(sorted({0.0, *fraction, 1.0})):
+        u = ca.vertcat(*[early[i] if begin < fraction[i] else late[i] for i in inputs])
         span = (end - begin) / loop.clock
         count = math.ceil(substeps * (end - begin))
-        coarse, fine = (
-            _integrated(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count))
-        )
+        coarse = _integrated(loop, coarse, u, force, span, count)
+        fine = _integrated(loop, fine, u, force, span, 2 * count)
 
-    log = {**signals, **y}
+    log = {**signals, **measured}
     state = ca.vertcat(x, *memory, *past)
     column = ca.vertcat(added, errors, forces)
-    following = ca.vertcat(fine, *remembered, *(queue[:-1] for queue in waiting()))
+    # The oldest control of every queue has acted and is dropped.
+    next_past = [queue[:-1] for queue in queues()]
+    next_state = ca.vertcat(fine, *next_memory, *next_past)
     logged = ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
-    return ca.Function("step", [state, column], [following, logged]), [*log]
+    return ca.Function("step", [state, column], [next_state, logged]), [*log]
 
 
 def _integrated(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
-    """Integrate over `span` seconds with a constant input in `count` steps of RK4."""
+    """Return the states x (n,) after `span` seconds with a constant input, by `count` RK4 steps.
+
+    `force` (n,) is added to the derivative of the states.
+    """
+    if not loop.system.states:
+        return x
     derivative = loop.system.derivative
     forced = replace(loop.system, derivative=lambda x, u, p: derivative(x, u, p) + force)
-    for _ in range(count if loop.system.states else 0):
+    for _ in range(count):
         x = RungeKutta().advance(forced, x, u, ca.SX.zeros(u.numel()), loop.p, span / count)
     return x
 
 
 def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | None) -> Excitation:
-    """Return arrays as an excitation of this rate, and an excitation as it is."""
+    """Return an excitation unchanged, and arrays by name as an excitation of this rate, Hz."""
     if isinstance(given, Excitation):
         return given
     if not isinstance(given, Mapping):
@@ -343,19 +394,20 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
 
 
 def _checked(what: str, given: Values, places: Sequence[str], low: float = -math.inf) -> Values:
-    """Return numbers by name once names and sizes are right."""
+    """Return numbers by name, after a check of the names and of a lowest value."""
     require_known(given, places, "place for", what)
-    for n, value in given.items():
+    for name, value in given.items():
         if not is_finite_number(value) or value < low:
             raise ValueError(
-                f"{what}[{n!r}] is {value!r}: give a number"
+                f"{what}[{name!r}] is {value!r}: give a number"
                 + (" of 0 or more." if low == 0 else ".")
             )
-    return {n: float(v) for n, v in given.items()}
+    return {name: float(value) for name, value in given.items()}
 
 
 def _draws(seed: int, stream: int, names: Sequence[str], deviation: Values, count: int) -> Array:
     """Return white noise of these standard deviations, (k, count)."""
     require_whole("seed", seed, 0)
     drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))
-    return drawn * np.array([deviation.get(n, 0.0) for n in names])[:, None]
+    deviations = np.array([deviation.get(name, 0.0) for name in names])
+    return drawn * deviations[:, None]

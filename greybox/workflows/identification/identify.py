@@ -3,15 +3,17 @@
 Begin with `identify`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from greybox.assessment.fit import fit
+from greybox.assessment.printed import table_of_parameters, text as text_of_fit
 from greybox.assessment.result import Fit
 from greybox.assessment.transfer_function_numbers import (
     TransferFunctionNumbers,
@@ -19,6 +21,7 @@ from greybox.assessment.transfer_function_numbers import (
 )
 from greybox.data.files.argument_checks import checked_items
 from greybox.data.files.arrays import Interval
+from greybox.data.files.folded_text import folded
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, attributes, non_empty
 from greybox.data.files.printed import one_line
@@ -89,21 +92,56 @@ class Identification:
         sources = ", ".join(recording.source for recording in self.recordings)
         return one_line(self, sources, chosen.label if chosen else "no model")
 
-    def __str__(self) -> str:
-        parts = []
-        if self.choices:
-            parts.append("\n".join(["Chosen:", *(f"  {choice}" for choice in self.choices)]))
-        for recording, measurement in zip(self.recordings, self.measurements, strict=True):
-            parts += [str(measurement), "\n".join(recording.findings)]
+    @property
+    def details(self) -> str:
+        """What the text leaves out: the tests, the responses, all structures, and the fit's own."""
+        parts = [self._chosen, *self._measured(str)]
         if self.selection is not None:
-            title = "Structures"
-            if self.through:
-                title += f", in series with the {' and the '.join(self.through)} of the log"
-            parts += [f"{title}:\n{self.selection}", str(self.fit or "")]
-            numbers = self.transfer_function
-            if numbers:
-                parts.append(f"Transfer function:\n{numbers}")
-        return "\n\n".join(part for part in parts if part)
+            parts.append(f"{self._structures}:\n{self.selection}")
+        if self.fit is not None:
+            parts += [table_of_parameters(self.fit), self.fit.details]
+        return "\n\n".join(filter(None, parts))
+
+    def __str__(self) -> str:
+        # Without a fit, the tests and their defects are the answer.
+        if self.selection is None:
+            return "\n\n".join(filter(None, [self._chosen, *self._measured(str)]))
+        measured = self._measured(attrgetter("brief"))
+        structures = f"{self._structures}:\n{self.selection.brief}"
+        return folded(
+            "\n\n".join(filter(None, [self._answer, self._chosen, *measured, structures]))
+        )
+
+    @property
+    def _answer(self) -> str:
+        """The chosen structure: its verdict and its numbers."""
+        fit, numbers = self.fit, self.transfer_function
+        if fit is None:
+            return ""
+        if numbers is None:
+            return str(fit)
+        # The coefficients of a rational structure are no quantities of the reader's.
+        is_rational = all(q.has_computed_bounds for q in fit.quantities if q.kind == "free")
+        if is_rational:
+            return text_of_fit(fit, str(numbers))
+        return f"{fit}\n\nTransfer function:\n{numbers}"
+
+    @property
+    def _chosen(self) -> str:
+        """What was chosen in the log, and why."""
+        lines = [f"  {choice}" for choice in self.choices]
+        return "\n".join(["Chosen:", *lines]) if lines else ""
+
+    @property
+    def _structures(self) -> str:
+        """What the structures have in common."""
+        series = f", in series with the {' and the '.join(self.through)} of the log"
+        return "Structures" + (series if self.through else "")
+
+    def _measured(self, text_of: Callable[[Measurement], str]) -> Iterator[str]:
+        """Yield the measurement of each log with the findings of the log."""
+        for recording, measurement in zip(self.recordings, self.measurements, strict=True):
+            yield "\n".join([text_of(measurement), *recording.findings])
 
 
 def identify(  # noqa: PLR0913 - every choice that an analyst makes

@@ -5,6 +5,7 @@ Begin with `measure`.
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,9 +18,9 @@ from greybox.data.files.arrays import Interval
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import non_empty
-from greybox.data.files.numbers_in_text import number
+from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import one_line
-from greybox.data.files.wording import counted
+from greybox.data.files.wording import counted, listed
 from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, described_unstated_hold
@@ -281,6 +282,29 @@ class Measurement:
             "direct estimate; in a closed loop, give the injected signal for the joint "
             "estimate, instrument=..."
         )
+
+    @property
+    def brief(self) -> str:
+        """The tests and the response in one line, how it was estimated, and its verdict."""
+        return "\n".join(filter(None, [self._extent, *self.choices, str(self.quality)]))
+
+    @property
+    def _extent(self) -> str:
+        """Which tests were used, and which frequencies the response has."""
+        texts = []
+        if self.used:
+            kinds = Counter(segment.kind for segment in self.used)
+            tests = listed([counted(count, kind) for kind, count in kinds.items()])
+            texts.append(f"{tests} from {self.used[0].start:.1f} to {self.used[-1].end:.1f} s")
+        if self.response is not None:
+            omega = self.response.omega
+            points = counted(len(omega), "frequency", "frequencies")
+            texts.append(f"{points} from {number(omega[0], 4)} to {number(omega[-1], 4)} rad/s")
+        if self.response is not None and self.response.variance is not None:
+            # A variance is that of both components.
+            errors = np.sqrt(self.response.variance / 2) / np.abs(self.response.response)
+            texts.append(f"errors of {percent(errors.min())} to {percent(errors.max())} %")
+        return f"{'; '.join(texts)}." if texts else ""
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))

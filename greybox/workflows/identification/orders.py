@@ -45,6 +45,8 @@ TURN = 8.0
 DELAYS = 16
 # Longest delay of all that are tried, over the longest of the first ones.
 LONGEST = 8
+# A remark; the errors of such a structure are those of a plant without a delay.
+NO_DELAY = "without its delay, which ended at zero"
 # Further starts of the chosen structure, which show whether its minimum is the lowest.
 STARTS = 20
 # Differences of BIC from the least above which a structure is not fitted by maximum likelihood.
@@ -194,15 +196,14 @@ def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
     require_known(chain.from_iterable(stated.values()), names, "parameter", "the grid")
     near = _near_the_best(linear)
     candidates = []
-    undelayed = []
     for orders in near:
         start = linear[orders].start
         candidate = _candidate(responses, orders, start, through, stated)
         candidates.append(candidate)
         if _delay_ended_at_zero(candidate.fit):
             without_delay = replace(orders, delay=False)
-            candidates[-1] = _candidate(responses, without_delay, start, through, stated)
-            undelayed.append(str(without_delay))
+            undelayed = _candidate(responses, without_delay, start, through, stated)
+            candidates[-1] = replace(undelayed, remarks=(NO_DELAY, *undelayed.remarks))
         # A stable plant with less delay may be another minimum, which `select` prefers unless it
         # is much higher; sometimes it is much lower.
         if candidate.unstable and (start := _stable_start(orders, candidate.fit.estimate)):
@@ -218,11 +219,6 @@ def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
         notes.append(
             f"{DELAYS} delays from 0 to {longest:.2g} s were tried, and longer ones where the "
             "longest was the best."
-        )
-    if undelayed:
-        notes.append(
-            f"The delay ended at zero and was left out of: {'; '.join(undelayed)}. Their errors "
-            "are those of a plant without a delay."
         )
     # The table lists the candidates in the order of their sizes.
     candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))

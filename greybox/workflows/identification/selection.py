@@ -1,7 +1,7 @@
 """Fitted structures side by side: the smallest that the data support, and the verdict."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from greybox.assessment.result import Fit
 from greybox.assessment.validation.measures import relative_rms
 from greybox.assessment.validation.parsimony import parsimony
 from greybox.assessment.validation.same_data import count_unknowns
+from greybox.data.files.folded_text import folded
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import one_line
@@ -29,6 +30,8 @@ LIMITS = ((3.0, 0.05), (1.5, 0.3))
 # Share of the response that the residuals may have if the noise is unknown.
 LIMIT_WITHOUT_NOISE = 0.3
 
+# Structures that a short answer shows.
+BRIEF = 3
 # The beginning of a remark on an unstable pole.
 UNSTABLE = "unstable pole"
 # Difference of BIC by which a structure with an unstable pole must be better: beside a zero, such a
@@ -152,28 +155,48 @@ class Selection:
         label = self.chosen.label if self.chosen else "no fit"
         return one_line(self, counted(len(self.candidates), "structure"), label)
 
+    @property
+    def brief(self) -> str:
+        """The verdict, and the structures with the least BIC."""
+        # NaN, of a structure without a fit, comes last.
+        order = sorted(range(len(self.bic)), key=lambda k: (math.isnan(self.bic[k]), self.bic[k]))
+        best = order[:BRIEF]
+        lines = [self.verdict, "", *self._table(best)]
+        if rest := len(order) - len(best):
+            others = counted(rest, "other structure was", "other structures were")
+            lines.append(f"{others} fitted.")
+        return "\n".join(lines)
+
     def __str__(self) -> str:
+        header, rule, *rows = self._table(range(len(self.candidates)))
+        lines = [header, rule]
+        for candidate, row in zip(self.candidates, rows, strict=True):
+            # What a structure describes is too long for a column.
+            lines += [row, f"    {candidate.about}"] if candidate.about else [row]
+        if self.note:
+            lines.append(self.note)
+        return folded("\n".join([*lines, "", self.verdict]))
+
+    def _table(self, places: Iterable[int]) -> list[str]:
+        """Return the lines of the table of the candidates at these places."""
         least = min((value for value in self.bic if not math.isnan(value)), default=math.nan)
         rows = []
-        for k, candidate in enumerate(self.candidates):
+        for k in places:
+            candidate = self.candidates[k]
             fit = candidate.fit
+            chosen = ["chosen"] if candidate is self.chosen else []
             rows.append(
                 [
-                    str(k + 1),
                     candidate.label,
                     str(len(fit.free)),
                     number(fit.cost, 4) if fit.converged else "no fit",
                     number(round(self.bic[k] - least, 2), 4),
                     number(candidate.noise, 3),
-                    "; ".join(candidate.remarks) or candidate.about,
-                    "<- chosen" if candidate is self.chosen else "",
+                    "; ".join([*chosen, *candidate.remarks]),
                 ]
             )
-        header = ["", "structure", "free", "cost", "BIC above", "residual/noise", "remark", ""]
-        lines = [text_table(header, rows, left=(1, 6, 7))]
-        if self.note:
-            lines.append(self.note)
-        return "\n".join([*lines, "", self.verdict])
+        header = ["structure", "free", "cost", "BIC above", "residual/noise", "remark"]
+        return text_table(header, rows, left=(0, 5)).split("\n")
 
 
 def select(candidates: Sequence[Candidate], note: str = "") -> Selection:

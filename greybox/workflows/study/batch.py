@@ -1,4 +1,4 @@
-"""A batch of fits: every run is stored soon after it is made, and a killed batch resumes.
+"""A batch of fits, which stores every run soon after it is made; a killed batch resumes.
 
 Begin with `batch`.
 """
@@ -66,8 +66,8 @@ class Member:
     Parameters
     ----------
     problem : Problem or a sum of problems
-        In a grid, an UnreadableError in place of a problem whose data cannot be read: such a member
-        fails alone.
+        A grid may contain an `UnreadableError` in place of a problem whose data cannot be read.
+        Only this member then fails.
     starts, seed, method, search, solver_options
         As in `greybox.fit`.
     held : sequence of Record or FrequencyResponse
@@ -86,11 +86,12 @@ class Member:
     held: Sequence[Any] = ()
 
     def __post_init__(self) -> None:
-        """Use the name of the problem by default."""
+        """Use the name of the problem by default, and refuse invalid arguments."""
         if not isinstance(self.problem, UnreadableError):
             require_problem(self.problem)
-        self.by  # noqa: B018  (checks the options)
-        self.start_count  # noqa: B018  (checks starts and seed)
+        # Both raise an error for invalid options, starts or seeds.
+        _ = self.by
+        _ = self.start_count
         if not self.name:
             normalize(self, name=self.problem.name)
         if self.name != printable(self.name):
@@ -100,14 +101,16 @@ class Member:
 
     @property
     def by(self) -> SolverChoice:
-        """The choice of the solver."""
+        """The method, the search and its options."""
         return SolverChoice(self.method, self.search, self.solver_options)
 
     @property
     def start_count(self) -> int:
-        """Number of starts, by default that of the solver; a rule without a number counts one."""
-        alone = all(isinstance(part.data, FrequencyResponse) for part in self.problem.parts)
-        default = ResponseSolver.starts if alone else LocalSolver.starts
+        """Number of starts, by default that of the solver; one for a rule without a number."""
+        only_responses = all(
+            isinstance(part.data, FrequencyResponse) for part in self.problem.parts
+        )
+        default = ResponseSolver.starts if only_responses else LocalSolver.starts
         rule = as_starts(default if self.starts is None else self.starts, self.seed)
         return getattr(rule, "number", 1)
 
@@ -123,11 +126,11 @@ def batch(
 ) -> Study:
     """Fit many problems, one after the other, and store every run in a folder.
 
-    A batch that ended in any way, `kill -9` included, resumes when it is called again with the same
-    members and folder. Stored runs are not made again, at most some two seconds of work of each
-    worker are lost, and the answer equals that of an uninterrupted batch. Members that
-    failed are tried again. With more starts of the same seed, the stored runs of a member are used
-    again. New members are added to the folder.
+    A batch that has ended in any way, `kill -9` included, resumes when it is called again with the
+    same members and folder. Stored runs are not made again: each worker loses at most about two
+    seconds of work, and the answer equals that of an uninterrupted batch. Members that have failed
+    are tried again. If more starts of the same seed are requested, the stored runs of a member
+    still count. New members are added to the folder.
 
     Parameters
     ----------
@@ -137,13 +140,12 @@ def batch(
     executor : concurrent.futures.Executor, optional
         Makes the runs, as in `greybox.fit`.
     seconds : float, optional
-        Time limit of the batch. The current member and those that follow are then unfinished, and
-        the same call resumes with them.
+        Time limit of the batch. Members that are not finished by then stay unfinished, and the same
+        call resumes with them.
     progress : bool
         Show a progress bar in a terminal or notebook after two seconds.
     trust : bool
-        Continue with runs and answers in the folder that another user or another machine made, as
-        if they were your own.
+        Whether to use runs and answers in the folder that another user or another machine made.
 
     Returns
     -------
@@ -161,8 +163,8 @@ def batch(
     RuntimeError
         If the executor has lost its workers; the same call resumes with another executor.
     KeyboardInterrupt
-        After Ctrl-C; its attribute ``study`` has the results so far, or None before the first
-        member. Members that were not judged yet are unfinished.
+        After Ctrl-C. Its attribute ``study`` has the results so far; it is None if the folder has
+        no study yet. Members that were not assessed yet are unfinished.
 
     Examples
     --------
@@ -176,17 +178,19 @@ def batch(
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)
     require_executor(executor)
-    models = [*{type(part.model) for member in listed for part in member.problem.parts}]
+    models = set()
+    for member in listed:
+        models |= {type(part.model) for part in member.problem.parts}
     end = end_after(seconds)
     folder = Path(folder)
     with listening(), limited(end), unchanged():
         try:
             with one_interrupt(), locked(folder, trust=trust):
                 _fit_all(listed, folder, executor, is_shown=progress)
-            return read_study(folder, models)
+            return read_study(folder, [*models])
         except KeyboardInterrupt as pressed:
             with responding(Response.FINISH):
-                study = read_study(folder, models) if is_study(folder) else None
+                study = read_study(folder, [*models]) if is_study(folder) else None
             message = f"interrupted; the same batch resumes from {folder}"
             raise Interrupted(message, study=study) from pressed
 
@@ -194,13 +198,14 @@ def batch(
 def _fit_all(
     listed: Sequence[Member], folder: Path, executor: Executor | None, *, is_shown: bool
 ) -> None:
-    """Fit the members that are not done, and store what they leave, in a locked folder."""
-    # Members are added before the first fit: a reader sees the whole study from the start.
+    """Fit the members that are not done, and store runs and answers in the locked folder."""
+    # All members are added before the first fit, so that a reader sees the whole study.
     stored = add_members(folder, [member.name for member in listed])
     runs = StoredRuns(folder)
-    done = {m.name for m in listed if stored[m.name].status == "done"}
-    # A notebook stores every update of the bar: two a second suffice. The time left is by the mean
-    # of all members: a moving one counts only the time since the last update.
+    done = {member.name for member in listed if stored[member.name].status == "done"}
+    # A notebook stores every update of the bar, so that it has at most two a second. The remaining
+    # time follows from the mean of all members (smoothing=0): a moving mean would count only the
+    # time since the last update.
     progress_bar = bar(
         is_shown=is_shown,
         total=len(listed),
@@ -212,27 +217,34 @@ def _fit_all(
     )
     with progress_bar:
         try:
-            new = {m: None for m in listed if executor and not stored[m.name].runs}
-            answers = _by_workers([*new], executor)
+            # Workers fit whole members that have no run yet, as long as these are small.
+            new = [member for member in listed if executor and not stored[member.name].runs]
+            changes_by_workers = _by_workers(new, executor)
+            names_of_new = {member.name for member in new}
             compiled: set[str] = set()
             for member in listed:
                 if is_search_over():
                     break
-                if changes := next(answers, []) if member in new else []:
+                changes = []
+                if member.name in names_of_new:
+                    changes = next(changes_by_workers, [])
+                if changes:
                     runs.changes += changes
                 else:
                     _fit_member(member, runs, stored[member.name], compiled, executor, progress_bar)
-                raise_interrupt()  # which came while an answer was stored
+                # Ctrl-C may have come while an answer was stored.
+                raise_interrupt()
                 progress_bar.update(member.name not in done)
                 runs.write_due()
+                # The disk is full. The last attempt to write, below, raises the error.
                 if runs.trouble:
-                    break  # a full disk, which the last attempt names
+                    break
         finally:
             runs.write()
 
 
 def require_distinct(members: Sequence[Member]) -> None:
-    """Raise ValueError if no member can be fitted, or if two have the same name."""
+    """Raise ValueError if no member can be fitted, or if two members have the same name."""
     if not members:
         raise ValueError("members is empty: give at least one problem.")
     if not any(member.problem.parts for member in members):
@@ -245,16 +257,18 @@ def require_distinct(members: Sequence[Member]) -> None:
 
 
 class _Unwritten(StoredRuns):
-    """Runs that another process writes."""
+    """Runs of a worker, which the process of the batch writes."""
 
     def write_due(self) -> None:
         """Write nothing."""
 
 
 class _WholeMembers(Runner):
-    """Fits members, one in each row (1,), pickled; the estimate of an outcome is what to store.
+    """Fits whole members on workers.
 
-    Nothing is stored for a member that takes longer than `UNWRITTEN`: workers then share its runs.
+    A start is an array (1,) with a pickled member. The estimate of an outcome is the list of
+    changes to store. It is empty if the member takes longer than `UNWRITTEN`: workers then share
+    its runs.
     """
 
     def run(self, start: Any) -> Outcome:
@@ -262,25 +276,37 @@ class _WholeMembers(Runner):
         began = time.perf_counter()
         runs = _Unwritten(Path())
         changes: Any = []
-        # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
+        # A member that cannot be pickled, or whose classes the worker lacks, is fitted later in
+        # the process of the batch.
         with suppress(Exception), limited(end_after(UNWRITTEN)):
             member, key, study = unpickled(start[0])
-            nothing = StudyMember(Path(), 0, member.name, {}, 0)
+            without_runs = StudyMember(Path(), 0, member.name, {}, 0)
             with unchanged(study):
-                _fit_member(member, runs, nothing, set(), key=key)
-            changes = [] if is_search_over() else runs.changes
+                _fit_member(member, runs, without_runs, set(), key=key)
+            if not is_search_over():
+                changes = runs.changes
         return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
 
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
-    """Yield what every member stores; nothing if it is large, or if its worker was lost."""
-    # In a worker, classes of the user's script have another module, and members another key.
+    """Yield the changes to store for every member, in their order.
+
+    They are empty for a member that takes long, or whose worker was lost. If the first member takes
+    long, nothing is yielded: members of a study are mostly alike.
+    """
     study = unchanged_in.get()
-    rows = ((k, np.array([pickled_or_empty((m, _key(m), study))])) for k, m in enumerate(members))
-    for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
+
+    def numbered() -> Iterator[tuple[int, Any]]:
+        """Yield the number of every member, and a start for `_WholeMembers`."""
+        for number, member in enumerate(members):
+            # The key is computed here. In a worker, classes of the user's script belong to another
+            # module, and the key would differ.
+            yield number, np.array([pickled_or_empty((member, _key(member), study))])
+
+    for number, _, outcome in run_all(_WholeMembers(), numbered(), len(members), executor):
         changes = [] if outcome.status else outcome.estimate
-        if not (changes or number):
-            return  # members of a study are mostly alike: none is small
+        if number == 0 and not changes:
+            return
         yield changes
 
 
@@ -293,9 +319,10 @@ def _fit_member(
     bar: Any = None,
     key: str = "",
 ) -> None:
-    """Fit a member, unless it is done; an error of its own is its answer.
+    """Fit a member, unless it is done, and store its runs and its answer.
 
-    The `key` identifies its settings, if it is known.
+    If the fit raises an error, the answer is this error. `compiled` are the keys of formulas, see
+    `_is_done`, and `key` identifies the settings of the member, if it is known.
     """
     if _is_done(member, stored, compiled):
         return
@@ -307,9 +334,8 @@ def _fit_member(
         )
         bar.update(0)  # shows it if the last update is old
 
-    # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
-    # next call would take it for the answer from all starts.
-    result, error = None, ""
+    result = None
+    error = ""
     try:
         if isinstance(member.problem, UnreadableError):
             raise member.problem
@@ -323,15 +349,19 @@ def _fit_member(
             profiles=False,  # `greybox profile` makes them for the member that matters
             progress=bar is not None and report,
         )
-        error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
-    except (ExecutorLostError, RunStorageError):  # of the workers or the folder, not of the member
+        if not result.converged:
+            error = ": ".join([result.status, *result.warnings[:1]])
+    except (ExecutorLostError, RunStorageError):
+        # The workers or the folder are at fault, and not the member.
         raise
     # Any other error ends only this member: a batch runs for days without its user.
     except Exception as raised:
         raise_interrupt(raised)
         error = error_sentence(raised)
     raise_interrupt()
-    if is_search_over():  # its runs are stored, and the next call resumes it
+    # If the search was cut short, its runs are stored but no answer is: the next call would take it
+    # for the answer from all starts.
+    if is_search_over():
         return
 
     marks = {
@@ -340,16 +370,19 @@ def _fit_member(
         "asked": _asked(member),
         "finished": time.time(),
     }
-    answer = {**(summary(result) if result else _stated(member.problem)), **marks}
+    answer = summary(result) if result else _stated(member.problem)
+    answer = {**answer, **marks}
     if member.held and result:
         answer["held_out"] = held_out_error(result, member.held)
+    if error:
+        answer["error"] = error
     with responding(Response.FINISH):
         fit = to_bytes(result) if result else b""
-        runs.finish({**answer, "error": error} if error else answer, fit)
+        runs.finish(answer, fit)
 
 
 def _stated(problem: AnyProblem | UnreadableError) -> dict[str, Any]:
-    """Return the fields that distinguish a failed member, as the summary of a fit has them."""
+    """Return the fields of a summary that distinguish a failed member from others."""
     parts = problem.parts
     models = unique(part.model.label for part in parts)
     return {
@@ -360,15 +393,28 @@ def _stated(problem: AnyProblem | UnreadableError) -> dict[str, Any]:
 
 
 def _key(member: Member, *, formulas_alone: bool = False) -> str:
-    """Return a key of all settings of a member, or of its formulas; empty with a lambda."""
-    parts, by = member.problem.parts, member.by
+    """Return a key of all settings of a member, or of its formulas alone.
+
+    It is empty if some setting, such as a lambda, has no fingerprint.
+    """
+    parts = member.problem.parts
+    by = member.by
     formulas = [
-        (p.model, p.criterion, p.tied, p.constraints, getattr(p.data, "output", "")) for p in parts
+        (
+            part.model,
+            part.criterion,
+            part.tied,
+            part.constraints,
+            getattr(part.data, "output", ""),
+        )
+        for part in parts
     ]
     with suppress(Exception):
         if formulas_alone:
             return value_fingerprint(formulas)
-        stated = [[getattr(p, field.name) for field in fields(p) if field.init] for p in parts]
+        stated = []
+        for part in parts:
+            stated.append([getattr(part, field.name) for field in fields(part) if field.init])
         return value_fingerprint((formulas, stated, by.method, by.search, dict(by.options)))
     return ""
 
@@ -376,23 +422,24 @@ def _key(member: Member, *, formulas_alone: bool = False) -> str:
 def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
     """Return whether a member has a usable answer from the requested starts.
 
-    To compile a member takes ten times as long as to compare what it states. So only the first
-    member with the same formulas is compiled: it shows that nobody has changed them. `compiled` has
-    the keys of these formulas.
+    Compiling a member, which shows that nobody has changed its formulas, takes ten times as long as
+    comparing its settings. Only the first of the members with the same formulas is compiled, and
+    the keys of these formulas are added to `compiled`.
 
     Raises
     ------
     ValueError
-        If it is the answer to another problem.
+        If the stored answer is that of another problem.
     """
     # A failed member is tried again: the cause, such as a missing file, may be gone.
     if stored.status != "done":
         return False
-    # An earlier answer remains where the data cannot be read any more.
+    # If the data cannot be read any more, the earlier answer remains.
     if isinstance(member.problem, UnreadableError):
         return True
-    formulas, stated = _key(member, formulas_alone=True), _key(member)
-    is_same = stated and formulas in compiled and stored.answer.get("stated") == stated
+    formulas = _key(member, formulas_alone=True)
+    key = _key(member)
+    is_same = key and formulas in compiled and stored.answer.get("stated") == key
     if not is_same and stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
             f"the answer of {member.name!r} in this study belongs to another problem, to other "
@@ -404,6 +451,6 @@ def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
 
 
 def _asked(member: Member) -> str:
-    """Return the requested starts as text."""
+    """Return the requested starts, and the data that are held out, as text."""
     held = [data.checksum for data in member.held]
     return f"{member.starts!r}, seed {member.seed!r}{held or ''}"

@@ -1,7 +1,7 @@
 """The members of a study on disk, with their answers and fits.
 
-`greybox.workflows.study.database` describes the folder, in which ``study.sqlite`` has what is
-stored, and ``lock`` is locked by the process that writes.
+`greybox.workflows.study.database` describes ``study.sqlite``, which contains them. The process that
+writes to it locks the file ``lock`` in the same folder.
 """
 
 import json
@@ -31,7 +31,7 @@ from greybox.workflows.study.database import (
 
 Status = Literal["done", "failed", "unfinished"]
 
-# Fields of an answer that tell members of a study apart.
+# Fields of an answer that distinguish the members of a study.
 FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 
 
@@ -44,13 +44,14 @@ class StudyMember:
     folder : Path
         The folder of the study.
     number : int
+        Its key in the database.
     name : str
     answer : mapping
         The numbers of the fit, as ``greybox fit --json`` prints them; empty without an answer.
     stored_runs : int
         Number of runs on disk.
     models : sequence
-        Models of one's own, as in `greybox.load`.
+        The user's own models, as in `greybox.load`.
     """
 
     folder: Path
@@ -62,26 +63,27 @@ class StudyMember:
 
     @property
     def error(self) -> str:
-        """Why the member failed; empty if it did not."""
+        """The reason why the member failed; empty if it did not."""
         return str(self.answer.get("error", ""))
 
     @property
     def reason(self) -> str:
-        """Why there is no fit, with the cure; empty if there is one."""
+        """The reason why there is no fit, with the cure; empty if there is one."""
         if self.status == "unfinished":
             return "not fitted yet: the same batch continues"
         return self.error
 
     @property
     def factors(self) -> Mapping[str, str]:
-        """What members are selected and grouped by: status, model, data and the like, as texts."""
+        """Status, model, data and the like as texts, by which members are selected and grouped."""
         texts = {"status": str(self.status)}
         for name in FACTORS:
             value = self.answer.get(name)
             if isinstance(value, dict):
                 value = ", ".join(f"{key} = {number:g}" for key, number in value.items())
-                if name == "fixed":  # a structure with all parameters free is one, too
-                    value = value or "nothing fixed"
+                # A structure in which all parameters are free is a value of its own.
+                if name == "fixed" and not value:
+                    value = "nothing fixed"
             elif isinstance(value, list):
                 value = ", ".join(value)
             if value not in (None, ""):
@@ -90,19 +92,19 @@ class StudyMember:
 
     @property
     def status(self) -> Status:
-        """Return "done" with a usable answer, "failed" with an error, or "unfinished"."""
+        """Either "done" with a usable answer, "failed" with an error, or "unfinished"."""
         if not self.answer:
             return "unfinished"
         return "failed" if self.error else "done"
 
     @property
     def runs(self) -> int:
-        """Number of runs on disk, or of the answer."""
+        """Number of runs of the answer, or of those on disk if it is not done."""
         return int(self.answer["starts"]) if self.status == "done" else self.stored_runs
 
     @property
     def fit(self) -> Fit | None:
-        """The whole fit, read from the study; None if there is none, and `reason` says why."""
+        """The whole fit, which is read from the study; None if there is none, see `reason`."""
         if self.status != "done":
             return None
         from greybox.assessment.storage import from_bytes  # noqa: PLC0415  (slow import)
@@ -113,13 +115,15 @@ class StudyMember:
         if row is None:
             raise DamagedStudyError(self.folder)
         require_undamaged(self.folder, *row)
+        _, answer, packed_fit, *_ = row
         place = f"the fit of {self.name!r} in {self.folder / DATABASE}"
         try:
-            text = unpacked(row[2], unpacked(row[1]))
+            # The text of the answer is the dictionary for the compression of the fit.
+            text = unpacked(packed_fit, unpacked(answer))
         except ValueError as error:
             raise ValueError(f"{place} is damaged ({error}).") from None
-        fit = from_bytes(text, self.models, place, stored=len(row[2]))
-        # The tables show the answer, the figures the fit.
+        fit = from_bytes(text, self.models, place, stored=len(packed_fit))
+        # Tables show the answer and figures the fit: they must belong together.
         if (fit.checksum, *fit.standard_error) != (
             self.answer["checksum"],
             *self.answer["standard_error"],
@@ -156,11 +160,15 @@ def read_members(folder: Path) -> list[StudyMember]:
 
 
 def _member(folder: Path, row: Any) -> StudyMember:
-    """Return the member of a row, in which a stranger may have stored any kinds of values."""
+    """Return the member of a row of the database.
+
+    Raises ValueError if the row is damaged: a stranger may have stored values of any type.
+    """
     number, name, answer, fit, checksum, marked, count = row
     has_answer = answer is not None
-    kinds = ((name, str), (answer, bytes), (fit, bytes)) if has_answer else ((name, str),)
-    if not all(isinstance(value, kind) for value, kind in kinds) or len(name) > LONGEST:
+    if not isinstance(name, str) or len(name) > LONGEST:
+        raise DamagedStudyError(folder)
+    if has_answer and not (isinstance(answer, bytes) and isinstance(fit, bytes)):
         raise DamagedStudyError(folder)
     shown = printable(name)
     stored: Mapping[str, Any] = {}
@@ -171,10 +179,15 @@ def _member(folder: Path, row: Any) -> StudyMember:
 
 
 class _StoredAnswer(Mapping[str, Any]):
-    """An answer that is unpacked when it is read: as values ten thousand take 300 MB."""
+    """An answer that is unpacked whenever it is read.
+
+    Ten thousand unpacked answers would take 300 MB.
+    """
 
     def __init__(self, answer: bytes, place: str) -> None:
-        self._packed, self._place, self._is_checked = answer, place, False
+        self._packed = answer
+        self._place = place
+        self._is_checked = False
 
     def __getitem__(self, key: str) -> Any:
         return self._values[key]
@@ -187,7 +200,10 @@ class _StoredAnswer(Mapping[str, Any]):
 
     @property
     def _values(self) -> dict[str, Any]:
-        # To check it takes five times as long as to unpack it, which tables do again and again.
+        """The values by name, checked at the first time.
+
+        Checking takes five times as long as unpacking, and tables read an answer again and again.
+        """
         if not self._is_checked:
             try:
                 values = parsed(unpacked(self._packed), len(self._packed))
@@ -198,19 +214,21 @@ class _StoredAnswer(Mapping[str, Any]):
                     "study."
                 ) from None
             if checked != values:
-                # Not compressed: `unpacked` would refuse what expands too far.
+                # At level 0 nothing is compressed: `unpacked` refuses data that expand too much.
                 self._packed = zlib.compress(json.dumps(checked).encode(), 0)
             self._is_checked = True
         return _unpacked_values(self._packed)
 
 
-@lru_cache(16)  # a table reads several numbers of a member, then those of the next
+# Cached, because a table reads several numbers of a member, and then those of the next.
+@lru_cache(16)
 def _unpacked_values(answer: bytes) -> dict[str, Any]:
+    """Return the values of a packed answer."""
     return dict(json.loads(unpacked(answer)))
 
 
 def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
-    """Add the names that a study does not have, and return its members by name."""
+    """Add members with these names, unless the study has them; return all members by name."""
     with writing(folder, create=True) as database:
         rows = [(name,) for name in names]
         database.executemany("INSERT OR IGNORE INTO members (name) VALUES (?)", rows)

@@ -4,9 +4,9 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,22 +31,41 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.traced_once import unchanged
 from greybox.statistics.metrics import rms
 
-EVIDENCE = "BIC less the least"  # the row of `fit_rows`
+# Measures by which structures are compared; the first is the name of a row of `fit_rows`.
+EVIDENCE = "BIC less the least"
 PREDICTION = "error of held-out predictions, % of the signal"
-EQUAL = 0.05  # relative difference of errors that makes no difference to a user of the model
+# Relative difference of errors that makes no difference to a user of the model.
+EQUAL = 0.05
 
-# A number by data set and structure, the lower the better.
+# A number for every data set and structure; lower is better.
 Table = dict[str, dict[str, float]]
 
-# A structure, a data set, the fit, and its `held_out_error`, if data are held out.
-Result = tuple[str, str, Fit, float | str | None]
+
+class Result(NamedTuple):
+    """The fit of a structure to a data set.
+
+    Attributes
+    ----------
+    structure, data : str
+        Their names.
+    fit : Fit
+    held_out : float or str or None
+        Its `held_out_error`, if data are held out.
+    """
+
+    structure: str
+    data: str
+    fit: Fit
+    held_out: float | str | None
 
 
-@unchanged()  # equal models share what is compiled
+# Equal models then share their compiled functions.
+@unchanged()
 def ranking(results: Iterable[Result]) -> Comparison:
-    """Compare structures over data sets; each data set has its results in a row.
+    """Compare structures over data sets.
 
-    Only the fits of one data set are in memory at a time.
+    The results of a data set follow each other: only the fits of one data set are in memory at a
+    time.
     """
     tables: dict[str, Table] = {EVIDENCE: {}, PREDICTION: {}}
     sizes: dict[str, int] = {}
@@ -54,73 +73,91 @@ def ranking(results: Iterable[Result]) -> Comparison:
     has_time = False
     for name, group in _by_data(results):
         best, tables[EVIDENCE][name] = _evidence(group)
-        for structure, (fit, error) in best.items():
-            sizes[structure] = len(fit.free)
-            has_time |= any(part.data.has_time for part in fit.records)
+        for structure, result in best.items():
+            sizes[structure] = len(result.fit.free)
+            has_time |= any(part.data.has_time for part in result.fit.records)
+            error = result.held_out
             if isinstance(error, str):
                 notes.append(f"{structure} does not predict the held-out data: {error}")
             elif error is not None:
                 tables[PREDICTION].setdefault(name, {})[structure] = error
 
-    # A likelihood of records assumes white residuals, and then prefers too many parameters.
     if has_time:
         notes.append(
             "BIC assumes white residuals, which those of records seldom are: it then prefers "
             "structures with too many parameters, and held-out records decide."
         )
-    # Held-out data assume nothing, and have the last word.
-    ranked = {measure: table for measure, table in tables.items() if _best(table)}
-    verdicts = [_verdict(*pair, sizes) for pair in ranked.items()]
-    rows = (
-        Row("study", measure, name, "", tuple(map(values.get, sizes)))
-        for measure, table in tables.items()
-        for name, values in table.items()
-    )
+    rows = []
+    wins = []
+    verdicts = []
+    for measure, table in tables.items():
+        for name, values in table.items():
+            rows.append(Row("study", measure, name, "", tuple(map(values.get, sizes))))
+        if _best(table):
+            wins.append(_wins(measure, table))
+            verdicts.append(_verdict(measure, table, sizes))
+
+    # The last verdict decides: that of held-out data, if there are any, which assumes nothing.
     return Comparison(
         tuple(sizes),
         f"{counted(len(tables[EVIDENCE]), 'data set')}: {some([*tables[EVIDENCE]])}",
         tuple(rows),
-        unique([*(_wins(*pair) for pair in ranked.items()), *notes]),
+        unique([*wins, *notes]),
         supported=verdicts[-1][0] if verdicts else "",
         verdict=" ".join(text for _, text in verdicts),
     )
 
 
 def _by_data(results: Iterable[Result]) -> Iterator[tuple[str, list[Result]]]:
-    """Yield data sets with their results."""
-    for name, alike in groupby(results, itemgetter(1)):
-        # Data of one name may differ: they are numbered.
+    """Yield the names of data sets with their results.
+
+    Different data of the same name are numbered.
+    """
+    for name, of_name in groupby(results, attrgetter("data")):
         groups: list[list[Result]] = []
-        for result in alike:
-            matching = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
-            if (group := next(matching, None)) is None:
-                groups.append(group := [])
-            group.append(result)
+        for result in of_name:
+            for group in groups:
+                if not data_difference([group[0].fit, result.fit], ("", "")):
+                    group.append(result)
+                    break
+            else:
+                groups.append([result])
         for number, group in enumerate(groups, 1):
             yield name if number == 1 else f"{name} {number}", group
 
 
-def _evidence(
-    group: Sequence[Result],
-) -> tuple[dict[str, tuple[Fit, float | str | None]], dict[str, float]]:
-    """Return the best fit of every structure, and its BIC less the least of all."""
-    names, _, fits, held = zip(*group, strict=True)
+def _evidence(group: Sequence[Result]) -> tuple[dict[str, Result], dict[str, float]]:
+    """Return the best result of every structure, and its BIC less the least of all.
+
+    Structures whose BIC is unknown are left out of the second mapping.
+    """
+    names = [result.structure for result in group]
+    fits = [result.fit for result in group]
     rows, _ = fit_rows(fits, same_data=True, comparable=not why_not_comparable(fits, names))
     if all(fit.records and is_likelihood(fit) for fit in fits) and other_samples(fits, names):
         rows = _rows_of_shared_samples(fits)
-    excess = next((row.values for row in rows if row.measure == EVIDENCE), [None] * len(fits))
-    values = [math.inf if value is None else value for value in excess]
-    order = sorted(range(len(fits)), key=values.__getitem__)
-    first = {names[k]: k for k in reversed(order)}
-    best = {name: (fits[first[name]], held[first[name]]) for name in unique(names)}
-    return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
+
+    values = [math.inf] * len(fits)
+    for row in rows:
+        if row.measure == EVIDENCE:
+            values = [math.inf if value is None else value for value in row.values]
+            break
+    best, least = {}, {}
+    for name in unique(names):
+        # Of equal values, the first counts.
+        numbers = [k for k, structure in enumerate(names) if structure == name]
+        k = min(numbers, key=values.__getitem__)
+        best[name] = group[k]
+        if values[k] < math.inf:
+            least[name] = values[k]
+    return best, least
 
 
 def _rows_of_shared_samples(fits: Fits) -> list[Row]:
-    """Return information criteria of fits of records, by the samples that all of them compare.
+    """Return information criteria of fits of records, from the samples that all of them compare.
 
-    A free delay leaves out the first samples. The errors of each output are normal, with a variance
-    that is estimated.
+    A fit with a free delay leaves out the first samples. The errors of each output are taken as
+    normal, with an estimated variance.
     """
     costs = np.zeros(len(fits))
     count = 0
@@ -134,33 +171,44 @@ def _rows_of_shared_samples(fits: Fits) -> list[Row]:
 
 
 def _best(table: Table) -> Counter[str]:
-    """Return in how many data sets each structure is the best of several."""
-    contests = [values for values in table.values() if len(values) > 1]
-    return Counter(min(values, key=values.__getitem__) for values in contests)
+    """Return the number of data sets in which each structure is the best of several."""
+    best: Counter[str] = Counter()
+    for values in table.values():
+        if len(values) > 1:
+            best[min(values, key=values.__getitem__)] += 1
+    return best
 
 
 def _wins(measure: str, table: Table) -> str:
+    """Return a sentence with the number of data sets in which each structure is the best."""
     wins = _best(table)
-    texts = (f"{name} in {n} ({percent(n / wins.total())} %)" for name, n in wins.most_common())
+    texts = []
+    for name, count in wins.most_common():
+        texts.append(f"{name} in {count} ({percent(count / wins.total())} %)")
     return f"Best by {measure}, of {counted(wins.total(), 'data set')}: {', '.join(texts)}."
 
 
 def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
-    """Return the structure that the data sets together support, and why."""
-    # Not all structures suit all data sets: the comparison uses the data sets of the structure that
-    # is best most often.
+    """Return the structure that the data sets together support, and the reason.
+
+    `sizes` are the numbers of free parameters.
+    """
+    # Not every structure was fitted to all data sets. Compared are the data sets of the structure
+    # that is best most often, and the structures that were fitted to all of these.
     [(winner, _)] = _best(table).most_common(1)
     shared = [values for values in table.values() if winner in values]
     labels = [label for label in sizes if all(label in values for values in shared)]
     free = [sizes[label] for label in labels]
+    # One row for each data set.
     values = np.array([[numbers[label] for label in labels] for numbers in shared])
     if measure == EVIDENCE:
         # Data sets are independent, so that their log-likelihoods, and with them BIC, add up.
         k, text = parsimony(labels, values.sum(axis=0).tolist(), free)
     else:
+        # Means of logarithms: those of the errors are geometric.
         means = np.log(values).mean(axis=0).tolist()
-        alike = [k for k, mean in enumerate(means) if mean <= min(means) + EQUAL]
-        k = min(alike, key=lambda k: (free[k], means[k]))
+        close_to_best = [k for k, mean in enumerate(means) if mean <= min(means) + EQUAL]
+        k = min(close_to_best, key=lambda k: (free[k], means[k]))
         text = (
             f"{labels[k]} ({free[k]} free) is supported: it is the smallest whose errors of "
             f"held-out predictions are within {percent(EQUAL)} % of the least."
@@ -169,7 +217,7 @@ def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str,
 
 
 def held_out_error(fit: Fit, held: Sequence[Any]) -> float | str:
-    """Return the mean error of predictions of records and responses in percent, or why not."""
+    """Return the mean error of predictions of held-out data in percent, or why there is none."""
     try:
         return 100 * fmean(_error(fit, data) for data in held)
     except (ValueError, ArithmeticError, LookupError) as refusal:
@@ -177,7 +225,11 @@ def held_out_error(fit: Fit, held: Sequence[Any]) -> float | str:
 
 
 def _error(fit: Fit, data: Any) -> float:
-    """Return the relative residuals (rms) of a response, or the mean of all outputs of a record."""
+    """Return the relative error of the prediction of a response or a record.
+
+    It is the rms of the relative residuals of a response, and the mean over the outputs of a
+    record.
+    """
     if isinstance(data, FrequencyResponse):
         pairs = [(part.data.input, part.data.output) for part in fit.responses]
         response = fit.response(data.omega, pairs.index((data.input, data.output))).response

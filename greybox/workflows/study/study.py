@@ -192,7 +192,7 @@ class Study(Printed):
                     fit = member.fit
                     if fit:
                         data = member.factors["data"]
-                        yield structure, data, fit, member.answer.get("held_out")
+                        yield Result(structure, data, fit, member.answer.get("held_out"))
 
         return ranking(fits())
 

@@ -8,6 +8,7 @@ from declared_models import TILT, TILT_OMEGA, measured
 from hardening_spring import Spring, driven, forced
 from rate_lag import Lag
 from scipy.integrate import solve_ivp
+from unfolded import unfolded
 
 import greybox as gb
 from greybox.models.controller import AttitudeController
@@ -318,7 +319,7 @@ def test_what_the_data_do_not_determine_is_told_where_it_matters():
     assert sentence in found.name
     both = driven(8.0, noise=0.05).with_signals(warmth=found["warmth"])
     predicted = gb.predict(fit, record=both, horizon=1.0)
-    assert sentence in str(predicted)
+    assert sentence in unfolded(predicted)
     assert np.isnan(predicted.error[1]).any()
     own = gb.predict(fit, horizon=1.0)
     assert own.notes == ()

@@ -6,6 +6,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Decay(gb.StateSpace):
     """y' = -k y."""

@@ -64,7 +64,7 @@ def test_a_prior_costs_no_false_alarms():
     """It pulls the estimate to its mean, and the standard errors become smaller: not the test."""
     prior = {"c": (0.0, 0.1), "d": (0.0, 0.1)}
     tests = [
-        gb.validation.joint_test(fitted(line(seed), prior=prior), ["c", "d"]) for seed in range(60)
+        gb.validation.joint_test(fitted(line(seed), prior=prior), ["c", "d"]) for seed in range(30)
     ]
     # The data know c better than d: together they are worth less than two numbers.
     assert all(1.0 < test.effective < 1.9 for test in tests)

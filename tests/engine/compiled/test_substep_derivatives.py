@@ -12,6 +12,8 @@ from greybox.engine.compiled.segments import Course, Segments
 from greybox.modeling.realization import dynamics
 from greybox.modeling.traced_once import traced_once
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 CELLS = 16
 
 

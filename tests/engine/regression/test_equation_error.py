@@ -15,8 +15,7 @@ from greybox.engine.regression.equation_error import (
 from greybox.engine.regression.linear_in_parameters import regressions
 from greybox.modeling.realization import dynamics
 from greybox.models.controller import AttitudeController
-from greybox.models.mixer import Torques
-from greybox.models.rigid_body import RigidBody
+from greybox.models.multirotor import RigidBody, Torques
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 

@@ -1,4 +1,6 @@
-"""Everything that ships gives the same bits in this process, in other processes, and on Dask.
+"""Everything that ships gives the same bits in this process and in others: workers, a pool, Dask.
+
+A case is tried on one executor: all receive the same bytes, and the next case has the next one.
 
 The lists are those of greybox: included problems, criteria, methods, integrators, searches, solvers
 and other runners. A user's solver has its own cases. What is added to one of them is tried here. Criteria, methods, searches and kinds
@@ -225,10 +227,11 @@ def executors():
 
 
 SEEN = set()
+TURN = itertools.count()
 
 
 def require_alike(executors, nlp, count=2, *, search="batched", most=None):
-    """Make the runs here and on every executor, and compare all numbers of their outcomes.
+    """Make the runs here and on the executor whose turn it is, and compare all numbers of their outcomes.
 
     With at `most` so many iterations, a run need not converge.
     """
@@ -236,19 +239,19 @@ def require_alike(executors, nlp, count=2, *, search="batched", most=None):
     rule = as_starts(count, 0)
     starts = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
     task = pickle.dumps(solver), starts, os.getpid(), math.inf
-    futures = {name: pool.submit(run_starts, *task) for name, pool in executors.items()}
+    name = [*executors][next(TURN) % len(executors)]
+    future = executors[name].submit(run_starts, *task)
     here = solver.outcomes(starts)
     SEEN.add(type(solver))
     assert most or any(outcome.converged for outcome in here)
-    for name, future in futures.items():
-        for outcome, twin in zip(here, future.result(), strict=True):
-            assert (outcome.status, outcome.iterations) == (twin.status, twin.iterations), name
-            assert (outcome.converged, outcome.stage) == (twin.converged, twin.stage), name
-            assert_array_equal(outcome.cost, twin.cost, name)
-            assert_array_equal(outcome.estimate, twin.estimate, name)
-            assert_array_equal(outcome.signature, twin.signature, name)
-            for nodes, others in zip(outcome.nodes or (), twin.nodes or (), strict=True):
-                assert_array_equal(nodes, others, name)
+    for outcome, twin in zip(here, future.result(), strict=True):
+        assert (outcome.status, outcome.iterations) == (twin.status, twin.iterations), name
+        assert (outcome.converged, outcome.stage) == (twin.converged, twin.stage), name
+        assert_array_equal(outcome.cost, twin.cost, name)
+        assert_array_equal(outcome.estimate, twin.estimate, name)
+        assert_array_equal(outcome.signature, twin.signature, name)
+        for nodes, others in zip(outcome.nodes or (), twin.nodes or (), strict=True):
+            assert_array_equal(nodes, others, name)
 
 
 # --- cases
@@ -258,8 +261,8 @@ def require_alike(executors, nlp, count=2, *, search="batched", most=None):
 def test_problems(executors, name):
     module = shipped_module("problems", name)
     nlp = compile_problem(module.problem(), module.settings.get("method"))
-    if nlp.has_states:
-        require_alike(executors, nlp)
+    if nlp.has_states:  # long records: a few steps have all digits that could differ
+        require_alike(executors, nlp, 1, most=5)
     elif ResponseSolver.serves(nlp):
         for search in SEARCHES:
             require_alike(executors, nlp, search=search)

@@ -9,6 +9,8 @@ from nist import FORMULAS, certified
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 # From the first of their starts these end in a flat region far from the certified values.
 ELSEWHERE = {("MGH10", 0), ("MGH17", 0)}
 

@@ -205,7 +205,7 @@ def test_derivatives_of_records(name, states):
 @pytest.mark.parametrize("name", [*RESPONSES, *RECORDS])
 def test_its_value_is_the_cost_of_a_fit(name):
     problem = (RESPONSES | RECORDS)[name]()
-    fit = gb.fit(problem, starts=8, profiles=False, checks=(), progress=False)
+    fit = gb.fit(problem, starts=3, profiles=False, checks=(), progress=False)
     objective = gb.objective(problem, fit.estimate)
     value = objective.value(fit.estimate)
     # Steps of integration are halved further in a fit, as long as they move an estimate.

@@ -14,6 +14,8 @@ from scipy.optimize import least_squares
 import greybox as gb
 from greybox.problems import pitch_hover
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 OMEGA = np.geomspace(0.3, 30, 12)
 QUIET = {"profiles": False, "progress": False}
 

@@ -20,6 +20,8 @@ from greybox.engine.solve.multistart import multistart
 from greybox.engine.solve.search_method import solver_for
 from greybox.models.tilt import PAPER_G
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def point(problem, **values):
     """Return the compiled problem, its first record, and the solver's variables at these parameters."""

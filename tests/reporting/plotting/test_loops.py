@@ -174,7 +174,7 @@ def test_both_loops_are_drawn_as_their_numbers_say(fit):
         assert size.y.max() == pytest.approx(getattr(change, place), abs=0.02)
         overshoot = getattr(comparison["overshoot of p"], place)
         assert 100 * (stepped.y.max() - 1) == pytest.approx(max(overshoot, 0), abs=0.5)
-        peak = getattr(comparison["peak response of p to a moment at u"], place)
+        peak = getattr(comparison["peak of p from a moment at u"], place)
         assert np.abs(moved.y).max() == pytest.approx(peak, rel=0.02)
 
 

@@ -29,8 +29,8 @@ TODAY = {"K_P": 0.15, "K_I": 0.3, "K_D": 0.012}
 SLUGGISH = {"K_P": 0.1, "K_I": 0.02, "K_D": 0.003}
 SENSITIVITY, PEAK, RMS, NOISE = (
     "peak |S|",
-    "peak response of q to a moment at u",
-    "rms response of q to a moment at u",
+    "peak of q from a moment at u",
+    "rms of q from a moment at u",
     "noise from q to u",
 )
 
@@ -364,13 +364,13 @@ def test_every_driven_input_and_every_measured_signal_counts():
     rows = {change.name: change for change in changes}
     # A larger gain: each moment moves its rate less, and noise is amplified on both axes.
     for axis, control in (("p", "aileron"), ("q", "elevator")):
-        moment = rows[f"peak response of {axis} to a moment at {control}"]
+        moment = rows[f"peak of {axis} from a moment at {control}"]
         # The rate at the end: K / (a + K gain).
         rest = [20 / (2 + 20 * gain) for gain in gains]
         assert moment.worsening == pytest.approx(rest[1] / rest[0], rel=1e-3)
         assert rows[f"noise from {axis} to {control}"].worsening > 1
     # The elevator does not move the roll rate: nothing over nothing is not worse.
-    assert rows["peak response of p to a moment at elevator"].worsening == 1
+    assert rows["peak of p from a moment at elevator"].worsening == 1
     assert objective.worsening < 0.9
 
 
@@ -411,7 +411,9 @@ def test_text_and_plain_values_say_the_same(proposed):
     )
     assert f"{rows[SENSITIVITY]['today']:.3g}" in sensitivity
     assert f"{100 * (rows[PEAK]['changed'] / rows[PEAK]['today'] - 1):.3g} %" in peak
-    assert rows[PEAK]["judgement"] in peak
+    # Rows stand below what they are.
+    above = lines[: lines.index(peak)]
+    assert [line for line in above if line.endswith(":")][-1] == f"{rows[PEAK]['judgement']}:"
 
 
 @functools.cache
@@ -450,7 +452,7 @@ def test_the_numbers_of_the_flown_chain_are_those_of_flights_of_the_true_plant()
         flight = gb.virtual_flight(fit.model_of(), truth, rest, controller=chain, noise=gyro)
         noises.append(flight["u"].std() / 1e-4)
     for numbers, name, tolerance in (
-        (peaks, "peak response of theta to a moment at u", 0.03),
+        (peaks, "peak of theta from a moment at u", 0.03),
         (noises, "noise from theta_dot to u", 0.1),
     ):
         unit = 1e-3 if numbers is peaks else 1.0

@@ -86,9 +86,14 @@ def test_the_chain_says_what_it_chose(flown):
         "closed loop (ATT.DesPitch is in the log)",
         "free) is supported",
         "times the noise",
-        str(flown.fit),
     ):
         assert words in text
+    # The verdict is the first that it says; the coefficients of the chosen structure are details.
+    assert text.split("\n\n")[1] == str(flown.fit).split("\n\n")[1]
+    assert "coefficient of s^0" not in text
+    assert "coefficient of s^0" in flown.details
+    assert str(flown.selection) in flown.details
+    assert str(flown.measurement) in flown.details
     assert repr(flown).startswith("<Identification sitl_pitch.BIN, n = 3, m = 0, 1 integrator")
     assert len(flown.measurement.response) == 10
     about = dict(flown.measurement.response.about)

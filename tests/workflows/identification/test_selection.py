@@ -77,8 +77,8 @@ def test_costs_over_the_least_noise_pay_for_parameters(noise, inflation, chosen)
     expected = np.array([60, 40, 18]) / inflation + np.array([0, 2, 1]) * np.log(80) + [0, 0, 6]
     assert selection.bic == pytest.approx([*expected, np.nan], nan_ok=True)
     assert selection.chosen.label == chosen
-    row = next(line for line in str(selection).splitlines() if line.endswith("<- chosen"))
-    assert row.split()[1] == chosen
+    (row,) = (line for line in str(selection).splitlines() if "  chosen" in line)
+    assert row.split()[0] == chosen
     assert "no fit" in str(selection)
 
 

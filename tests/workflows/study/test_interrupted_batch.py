@@ -81,7 +81,7 @@ KINDS = {
     "record and response": gb.study.Member(RECORD + LIKELIHOOD, 2),
 }
 SIGNALS = signal.SIGINT, signal.SIGTERM
-SHARES = 0.03, 0.3, 0.5, 0.7, 0.97
+SHARES = 0.03, 0.4, 0.7, 0.97
 
 
 def batch(member, folder, executor=None):

@@ -7,7 +7,7 @@ import pytest
 from small_study import Gain, Lag, LagLead, data
 
 import greybox as gb
-from greybox.workflows.study.ranking import held_out_error, ranking
+from greybox.workflows.study.ranking import Result, held_out_error, ranking
 
 
 def bic(comparison, name, structure):
@@ -102,7 +102,7 @@ def test_responses_of_an_angle_and_of_its_rate_are_one_data_set():
     rate = replace(angle, response=1j * angle.omega * angle.response, output="r")
     other = replace(angle, response=angle.response[::-1], output="y")
     fits = [
-        (
+        Result(
             model.__name__,
             "slow",
             gb.fit(gb.Problem(model(), response), starts=2, progress=False),
@@ -147,29 +147,27 @@ def test_held_out_records_rank_structures_by_their_predictions():
             np.arange(40.0), {"u": u, "y": 2 * u + u**2 + noise}, name=name, has_time=False
         )
 
-    fits = [
-        (
-            type(model).__name__,
-            "one",
-            gb.fit(gb.Problem(model, record("one", 0)), starts=1, progress=False),
-        )
+    fits = {
+        type(model).__name__: gb.fit(gb.Problem(model, record("one", 0)), starts=1, progress=False)
         for model in (Line(), Bent())
-    ]
+    }
     other = [record("two", 1)]
-    comparison = ranking((*named, fit, held_out_error(fit, other)) for *named, fit in fits)
+    comparison = ranking(
+        Result(name, "one", fit, held_out_error(fit, other)) for name, fit in fits.items()
+    )
     measure = "error of held-out predictions, % of the signal"
     line, bent = (
         comparison.value("one", name, data="study", output=measure) for name in ("Line", "Bent")
     )
-    expected = gb.compare(*(fit for _, _, fit in fits), records=other)
+    expected = gb.compare(*fits.values(), records=other)
     assert 100 - bent == pytest.approx(expected.value("fit", "Bent", data="held-out", output="y"))
     assert bent < line - 5
     assert "of 1 data set: Bent in 1 (100 %)" in str(comparison)
     assert comparison.supported == "Bent"
     # Records of the fits themselves are not held out.
-    fit = fits[0][2]
+    fit = fits["Line"]
     refusal = held_out_error(fit, [record("one", 0)])
-    assert "not held out" in str(ranking([("Line", "one", fit, refusal)]))
+    assert "not held out" in str(ranking([Result("Line", "one", fit, refusal)]))
 
 
 def test_the_smallest_structure_that_predicts_as_well_is_supported_by_held_out_data(tmp_path):
@@ -230,7 +228,9 @@ def test_records_rank_structures_with_and_without_a_delay():
     record = gb.Record(0.02 * np.arange(n), signals)
     late_fit, instant = (gb.fit(gb.Problem(m, record), starts=1) for m in (Late(), Instant()))
     assert late_fit.estimate["tau"] == pytest.approx(0.09, abs=0.02)
-    ranked = ranking([("Late", "one", late_fit, None), ("Instant", "one", instant, None)])
+    ranked = ranking(
+        [Result("Late", "one", late_fit, None), Result("Instant", "one", instant, None)]
+    )
     assert ranked.supported == "Late"
     # By hand: the residuals of the samples that both compare.
     residuals = np.array([fit.records[0].residual("y") for fit in (late_fit, instant)])

@@ -22,6 +22,7 @@ itself loads neither pymavlink nor h5py nor scipy.
 | `messages` | messages of one type, and the records made of them |
 | `time_stamps` | clock restarts, impossible and repeated stamps, gaps |
 | `controller_outputs` | signals that a controller holds |
+| `other_formats` | files of other kinds, and what makes a table of them |
 | `sample_times` | when a sensor was sampled, where a log has this time |
 """
 
@@ -36,6 +37,7 @@ from greybox.data.clock import Gaps, require_gaps
 from greybox.data.files.argument_checks import is_finite_number
 from greybox.data.files.escapes import in_sentences
 from greybox.data.files.safe_files import require_file
+from greybox.data.logs.readers.other_formats import other_format
 from greybox.data.record import Recording
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -194,6 +196,8 @@ def _format(path: Path) -> Format:
             f"{path} is empty: logging never started, or the copy failed; copy it again."
         )
 
+    if other := other_format(path, head):
+        raise ValueError(f"{path} {other}")
     # The contents decide: logs are renamed and sent around.
     suited = [format_ for format_ in FORMATS if format_.recognizes(head)]
     suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]
@@ -205,15 +209,6 @@ def _format(path: Path) -> Format:
 
 def _looks(head: bytes) -> str:
     """Return a description of a file's contents."""
-    signatures = {
-        b"PK": "a zip archive",
-        b"\x1f\x8b": "a gzip archive",
-        b"%PDF": "a PDF",
-        b"\x89PNG": "a PNG image",
-    }
-    for start, kind in signatures.items():
-        if head.startswith(start):
-            return f"looks like {kind}"
     if _is_text(head):
         return f"looks like text that starts with {head[:30].decode('utf-8', 'replace').strip()!r}"
 

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from greybox.data.headings import Heading, find_column, headings, with_units_in_
 from greybox.data.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
+from greybox.data.logs.readers.table_columns import MOST_DEVICES
 from greybox.data.record import Recording
 from greybox.data.time_column import clock_names, is_clock_name, seconds
 
@@ -77,6 +79,7 @@ def read(
             "sample."
         )
 
+    _require_numbers(text)
     if not (text.has_header or stated):
         line = text.lines[0][:60]
         raise ValueError(
@@ -96,10 +99,16 @@ def read(
     # As rows without a time, the samples would count as independent.
     unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
     if unread and not (rate or any(map(is_clock_name, clock))):
+        values = columns.get(unread[0].name)
+        stands_still = values is not None and values.size > 1 and np.ptp(values) == 0
+        fault = (
+            "which stands still"
+            if stands_still
+            else "which is not a time in numbers with a known unit"
+        )
         raise ValueError(
-            f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
-            "unit, or stands still: give it in seconds as 'time [s]', state the rate, rate=HZ, or "
-            "give it another name if it is not a time."
+            f"{path} has the column '{unread[0]}', {fault}: give it in seconds as 'time [s]', "
+            "state the rate, rate=HZ, or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
@@ -112,6 +121,19 @@ def read(
     findings = unique([*log.findings, *(text for r in tables.values() for text in r.findings)])
     about = {"parameters": settings} if settings else {}
     return replace(log, records=tables, metadata=about, findings=findings)
+
+
+def _require_numbers(text: DelimitedText) -> None:
+    """Raise ValueError if no cell of the table is a number, and say how its rows look."""
+    lines = text.lines[:: max(len(text.lines) // 9, 1)]
+    cells = [cell.strip(' "') for line in lines for cell in line.split(text.separator)]
+    if any(map(is_like_number, cells)):
+        return
+    line = text.lines[len(text.lines) // 2].strip()[:60]
+    raise ValueError(
+        f"{text.path} has no column of numbers, as in {line!r}: leave only numbers in the cells, "
+        "with names and units in the line above, as in time [s], u [N]."
+    )
 
 
 def _used(named: Sequence[Heading], stated: Mapping[str, str]) -> set[str]:
@@ -164,6 +186,7 @@ def _columns(
             columns[name], units[name] = dates
         else:
             not_numeric.append(name)
+    _require_one_signal_a_column(text, named, rows, [places[name] for name in not_numeric])
     if odd_cells:
         findings.append(
             f"cells that are not finite numbers, which count as missing: {some(odd_cells, 12)}."
@@ -226,6 +249,26 @@ def _require_one_header(text: DelimitedText, rows: Rows, numeric: Sequence[int])
         names = {row[k] for k in numeric}
         if len(names) == len(numeric) and not any(map(is_like_number, names)):
             raise text.second_header(number)
+
+
+def _require_one_signal_a_column(
+    text: DelimitedText, named: Sequence[Heading], rows: Rows, texts: Sequence[int]
+) -> None:
+    """Raise ValueError if a text names the signal, or the device, that each row is of.
+
+    Its rows have a time that is repeated for each of the names.
+    """
+    clocks = [k for k, h in enumerate(named) if seconds(h.base)]
+    for place, clock in product(texts, clocks):
+        names = {row[place] for _, row in rows}
+        times = {row[clock] for _, row in rows}
+        pairs = {(row[clock], row[place]) for _, row in rows}
+        if 2 <= len(names) <= MOST_DEVICES and 1.5 * len(times) < len(pairs) == len(rows):
+            raise ValueError(
+                f"{text.path} has rows of {some(sorted(names))} at each time, by its column "
+                f"{text.header[place]!r}: give each a column of its own, as pandas.DataFrame.pivot "
+                "does, or a file of its own."
+            )
 
 
 def _is_of_numbers(rows: Rows, place: int) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
 from greybox.data.files.subprocess_reader import read_in_subprocess
+from greybox.data.files.wording import some
 from greybox.data.headings import split_names
 from greybox.data.logs.named_columns import renamed
 from greybox.data.logs.readers.controller_outputs import with_holds
@@ -195,7 +196,9 @@ def recording(
     groups = {n: group for n, group in groups.items() if messages is None or n in messages}
     if stated and len(groups) != 1:
         raise ValueError(
-            f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
+            f"{path.name} has {len(groups)} groups ({some([*groups], 6)}), but `columns` names the "
+            "columns of one table: prepare(read(FILE), signals={'u': 'GROUP.NAME', ...}) makes one "
+            "record of several groups."
         )
 
     timer = "time" if "time" in (stated or {}) else ""
@@ -226,6 +229,7 @@ def recording(
             if rows_allowed
             else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
             f"length; it holds {present or 'no samples at all: copy it again'}."
+            + (" If its samples are at equal intervals, state rate=HZ." if present else "")
             + "".join(f" {problem}" for problem in problems)
         )
 

@@ -34,18 +34,18 @@ from greybox.modeling.cached_property import cached_property
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(all="ignore")
 
-# Units of log-likelihood for every number by which a cost is in doubt after one step of the states:
-# those of residuals that are larger by a tenth.
+# Doubt about a cost after a single step of the states, in units of log-likelihood for every
+# measured number. The cost grows by as much if all residuals grow by a tenth.
 DOUBTFUL = 0.1
 
-# A run of a record of more than four times this number of samples begins on excerpts of so many. A
-# fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they
-# fill whole batches: memory for another number of columns is not needed.
+# Samples of the excerpts on which runs of long records begin. Records are long with more than four
+# times as many: a fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten
+# samples, the excerpts fill whole batches, which need no memory for another number of columns.
 EXCERPT = 40_000
 
 
 class GaussNewton(Descent):
-    """The solver of one compiled problem with hidden unknowns, built once for all starts.
+    """The solver of one compiled problem whose states are unknowns, built once for all starts.
 
     Attributes
     ----------
@@ -58,17 +58,19 @@ class GaussNewton(Descent):
     def __init__(
         self, nlp: CompiledProblem, *, settings: Settings = USUAL, limits: Limits | None = None
     ) -> None:
-        """Build what every run shares; by default the limits are those of the problem."""
+        """Store the arguments; the limits are those of the problem by default."""
         self.nlp = nlp
         self.settings = settings
         self.limits = limits or limits_of(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
-        # Where runs of all samples of a long record ended, by the minimum of its excerpts.
+        # Ends of the runs of a long record with all of its samples, by the minimum of the excerpts
+        # at which they began.
         self._ends: dict[bytes, Outcome] = {}
+        # Estimate, nodes and iterate of the minimum that was polished last.
         self._polished: tuple[Array, Nodes, Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
-        """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
+        """Return the solver with other bounds of z (p,), and an equation (z) -> 0 to meet."""
         limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             limits = limits.with_equation(equation)
@@ -87,13 +89,20 @@ class GaussNewton(Descent):
 
     @DIVERGING
     def descended(self, starts: Array) -> Outcomes:
-        """Return where the cost alone leads from the starts (r, p) and their best states."""
+        """Return the runs from the starts (r, p) and the states that minimize the cost there.
+
+        These runs minimize the cost alone, without a penalty on gaps between segments.
+        """
         return [self._solved(self._at(start, self._best_nodes(start)), EXACT) for start in starts]
 
     @DIVERGING
     def costs_at(self, starts: Array, ends: Outcomes) -> Array:
-        """Return the costs (r,) at the starts (r, p) with their best states."""
-        return np.array([self._cost_at(*pair) for pair in zip(starts, ends, strict=True)])
+        """Return the costs (r,) at the starts (r, p) with the states that minimize them.
+
+        A cost that is surely above that of the run's end is infinite.
+        """
+        costs = [self._cost_at(start, end) for start, end in zip(starts, ends, strict=True)]
+        return np.array(costs)
 
     def _cost_at(self, start: Array, end: Outcome) -> float:
         """Return the cost at the parameters `start` (p,); infinite if surely above the end's."""
@@ -101,9 +110,9 @@ class GaussNewton(Descent):
         z = self.nlp.scaling.to_solver(start)
         if self.limits.violation(z) > 0 or np.any(z != self.limits.clipped(z)):
             return math.inf
-        # The best states may take as long as a run. One step of the states, which closes the gaps,
-        # gives their cost if the model is linear in its states, and else an idea of it.
-        # In a long record, initial states count little.
+        # Solving for the states may take as long as a run. First a cheap estimate of the cost: in a
+        # long record, initial states matter little and a simulation is enough. Otherwise one step
+        # of the states closes the gaps, which is exact if the model is linear in its states.
         near = parts.simulated(z) if self._excerpts else parts.continuous(parts.at(z))
         if end.cost < parts.cost(near) - DOUBTFUL * self.nlp.numbers:
             return math.inf
@@ -111,44 +120,59 @@ class GaussNewton(Descent):
         return profile.cost if profile.converged else math.inf
 
     def _best_nodes(self, x: Array) -> Nodes:
+        """Return the nodes of every part that minimize the cost at the parameters x (p,)."""
         return [part.nodes for part in self.profile(x).trajectories]
 
     def _led(self, start: Array) -> Outcome:
-        """Solve from the parameters `start` (p,), or from where short segments lead from there.
+        """Return the run from the parameters `start` (p,).
 
-        It is moved if predictions over whole segments are worse than the means of the outputs. With
-        long records, excerpts lead on from there.
+        The start is moved first if predictions over whole segments are worse than the means of the
+        outputs: to where a fit of short segments leads. A run of a long record begins on excerpts.
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
-        left = parts.unexplained(begin)
+        # The share of the variance of the outputs that predictions leave.
+        unexplained = parts.unexplained(begin)
         if self._excerpts:
-            first = self._excerpts._led(start)
-            # Runs that meet there continue once, from the same digits: each ends as it would alone,
-            # which resumed searches and those of several workers rely on.
-            minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
-            after = parts.at(self._nearest(minimum))
-            # Excerpts may lack the manoeuvre that shows a parameter.
-            if parts.unexplained(after) < left:
-                outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
-                if outcome.converged:
-                    self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
-                    return spent(outcome, first)
-        # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
-        # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_move(self.nlp) and left > 1:
+            outcome = self._led_by_excerpts(start, unexplained)
+            if outcome is not None:
+                return outcome
+        # If segments diverge, their nodes follow them away from the data. Without the move, only 30
+        # to 32 of 40 starts of the tilt plant reach the minimum, in twice the time (`time_fit.py`).
+        if can_move(self.nlp) and unexplained > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
-            # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
-            # then leave a hundredth of the variance.
-            if parts.unexplained(moved) < (left if is_inside else 0.01):
+            # A run seldom returns from a bound. It may begin there only if the minimum is near:
+            # predictions then leave less than a hundredth of the variance.
+            if parts.unexplained(moved) < (unexplained if is_inside else 0.01):
                 begin = moved
         return self._solved(*self._begun(begin))
 
+    def _led_by_excerpts(self, start: Array, unexplained: float) -> Outcome | None:
+        """Return the run from `start` (p,) that begins on excerpts of a long record.
+
+        None if it does not converge, or if the minimum of the excerpts explains the whole record
+        worse than the start, which leaves a share `unexplained` of the variance.
+        """
+        assert self._excerpts
+        first = self._excerpts._led(start)
+        # Rounded, so that runs which meet at one minimum continue from the same digits, once for
+        # all of them. Each ends as it would alone, on which resumed searches and workers rely.
+        minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
+        begin = self._parts.at(self._nearest(minimum))
+        # Excerpts may lack the manoeuvre that informs on a parameter.
+        if not self._parts.unexplained(begin) < unexplained:
+            return None
+        outcome = self._ends.get(minimum.tobytes()) or self._solved(begin, EXACT)
+        if not outcome.converged:
+            return None
+        self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
+        return spent(outcome, first)
+
     @cached_property
     def _finer(self) -> "GaussNewton":
-        """Return the solver with twice the steps, for runs that arrive where they are too long."""
+        """Return the solver with twice the steps, for runs that end where steps are too long."""
         return self.with_problem(self.nlp.refined(2))
 
     @cached_property
@@ -160,33 +184,38 @@ class GaussNewton(Descent):
         return self.with_problem(replace(self.nlp, parts=excerpts))
 
     def _begun(self, begin: Iterate) -> tuple[Iterate, Progress]:
-        """Return where to begin: with nodes from the data, or with simulated ones.
+        """Return the first iterate of a run and its settings.
 
-        Where few states are measured, predictions from the data may be worse than the means of the
-        outputs. If a simulation is better, a rod of 40 states takes half the time from there.
+        Nodes usually come from the data. If few states are measured, predictions from there may be
+        worse than the means of the outputs, and a simulation may be better: a rod of 40 states
+        takes half the time from simulated nodes.
         """
         parts = self._parts
-        if (left := parts.unexplained(begin)) > 1 and not parts.is_gain.any():
+        unexplained = parts.unexplained(begin)
+        if unexplained > 1 and not parts.is_gain.any():
             simulated = parts.simulated(begin.z)
-            if parts.unexplained(simulated) < left:
+            if parts.unexplained(simulated) < unexplained:
                 return simulated, EXACT
         return begin, parts.first_progress()
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
-        """Solve from the parameters x (p,) and nodes that are near those of the solution."""
+        """Return the run from the parameters x (p,) and nodes near those of the solution."""
         return self._solved(self._at(x, nodes), EXACT, iterations)
 
     def near(self, x: Array, nodes: Nodes | None = None) -> Outcome:
-        """Solve from parameters x (p,) near a minimum, whose states are solved first if unknown."""
-        # From states of the data, a run may leave for another minimum.
+        """Return the run from parameters x (p,) near a minimum.
+
+        Unknown nodes are solved for first: from those of the data, the run may leave for another
+        minimum.
+        """
         return self.solved_from(x, nodes or self._best_nodes(x))
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
         if outcome.nodes is None:
             return outcome
-        # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
+        # Three million samples take only a moment. Bennett5, the narrowest valley among NIST's
         # problems, takes 1300 iterations.
         affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
         iterations = max(affordable, self.settings.max_iter)
@@ -195,24 +224,30 @@ class GaussNewton(Descent):
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> Outcome:
-        nlp, began = self.nlp, time.perf_counter()
+        """Return the run from an iterate, with at most so many iterations."""
+        began = time.perf_counter()
         most = iterations or self.settings.max_iter
         end = descend(self._parts, iterate, progress, most)
         count = end.iterations
         if not self._parts.has_stable_steps(end.iterate):
+            # The integration steps are too long for the model at the end. The run continues with
+            # steps of half the length.
             finer = self._finer
-            outcome = finer._solved(*finer._begun(finer._parts.at(end.iterate.z)), iterations)
+            first, settings = finer._begun(finer._parts.at(end.iterate.z))
+            outcome = finer._solved(first, settings, iterations)
             count += outcome.iterations
-            # Where these steps are stable after all, the cost shall be that of other runs.
+            # If it ends where the longer steps are stable after all, these give the cost, which is
+            # then comparable with that of other runs.
             end = descend(self._parts, self._at(outcome.estimate, outcome.nodes), EXACT, most)
             if end.status != CONVERGED:
                 return replace(outcome, iterations=count, seconds=time.perf_counter() - began)
         iterate, status = end.iterate, end.status
 
-        # Only where it matters: exact derivatives take as long as several iterations.
-        # Workers lack the information of some parts, and results must be the same in every process.
+        # Exact derivatives take as long as several iterations, and are used only where it matters.
+        # Parts on workers may lack what they need. Results must be the same in every process: then
+        # no process uses them.
         is_inexact = status == CONVERGED and is_blurred(end.hessian)
-        if is_inexact and all(part.travels_whole for part in nlp.parts):
+        if is_inexact and all(part.travels_whole for part in self.nlp.parts):
             iterate = sharpened(self._parts, iterate)
         if status.startswith(CONVERGED) and self.limits.violation(iterate.z) > 0:
             status = "constraints violated"
@@ -220,21 +255,21 @@ class GaussNewton(Descent):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
         return Outcome(
-            nlp.estimate_at(iterate.z),
-            status,
-            count,
-            time.perf_counter() - began,
-            status.startswith(CONVERGED) and math.isfinite(cost),
-            cost,
-            self._parts.signature(iterate) if iterate.finite else None,
-            tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
+            estimate=self.nlp.estimate_at(iterate.z),
+            status=status,
+            iterations=count,
+            seconds=time.perf_counter() - began,
+            converged=status.startswith(CONVERGED) and math.isfinite(cost),
+            cost=cost,
+            signature=self._parts.signature(iterate) if iterate.finite else None,
+            nodes=tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum polished by undamped steps.
 
-        In NIST's 27 regressions, nine or more digits are then right instead of four to eight.
+        In NIST's 27 regressions, nine or more digits are then correct instead of four to eight.
         """
         if search.nodes is None:
             return search
@@ -245,9 +280,10 @@ class GaussNewton(Descent):
             return search
 
         cost = self._parts.cost(end, 0.0)
-        # Steps to another cost have left the minimum, for example if a predictor ends at its
-        # stability limit.
-        if not best.cost - same_cost(self.nlp, best.cost) <= cost <= with_rounding(best.cost):
+        # If the cost differs, the steps have left the minimum, as they may where a predictor is at
+        # its stability limit.
+        lowest = best.cost - same_cost(self.nlp, best.cost)
+        if not lowest <= cost <= with_rounding(best.cost):
             return search
         minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))
         nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
@@ -258,39 +294,42 @@ class GaussNewton(Descent):
 
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:
-        """Return whether the model is finite at the parameters `start` (p,), near the data.
+        """Return whether the model is finite at the parameters `start` (p,) and states of the data.
 
-        Excerpts decide it for a long record.
+        Of a long record, the excerpts decide.
         """
         return (self._excerpts or self)._parts.at(self._nearest(start)).finite
 
     @DIVERGING
     def screened(self, starts: Array) -> Screened | None:
-        """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
+        """Rank the starts (r, p) by prediction errors over short segments, see `screening`.
 
-        The first start, the declared values, is among the promising ones in any case. If several
-        lead to one point, the best of them is promising; the others are tried last.
+        If several starts lead to one point, only the best of them is promising; the others are
+        tried last. The first start, the declared values, is always among the promising ones.
         """
-        # Ten of 17 fits from the default starts take 1.5 to 8 times as long without screening, and
-        # four of NIST's regressions more than 40 s; MGH17 takes half as long.
+        # Without screening, ten of 17 fits from the default starts take 1.5 to 8 times as long, and
+        # four of NIST's regressions more than 40 s. Only MGH17 is faster, by half.
         if not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        promising = [
-            k + 1 for k in distinct(improved((self._excerpts or self).nlp, self.limits, z))
-        ]
-        untried = sorted(set(range(1, len(starts))) - set(promising))
+        searches = improved((self._excerpts or self).nlp, self.limits, z)
+        # The first start is not among those that are compared.
+        promising = [number + 1 for number in distinct(searches)]
+        others = sorted(set(range(1, len(starts))) - set(promising))
 
-        # Declared values may be good ones: they are always among the first.
+        # The declared values, number 0, are the last of the first wave of runs.
         ahead = self.promising.runs[0] - 1
-        order = np.array([*promising[:ahead], 0, *promising[ahead:], *untried])
+        order = np.array([*promising[:ahead], 0, *promising[ahead:], *others])
         return Screened(order, np.full(len(starts), np.inf))
 
     # --- at given parameters
 
     @DIVERGING
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
-        """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
+        """Return the trajectories and the cost at the parameters x (p,).
+
+        Unless they are given, the nodes are those that minimize the cost there.
+        """
         if nodes is not None:
             return self._profile(self._at(x, nodes), converged=True)
         first = self._begun(self._parts.at(self.nlp.scaling.to_solver(x)))
@@ -298,15 +337,17 @@ class GaussNewton(Descent):
 
     @DIVERGING
     def profile_near(self, x: Array, nodes: Nodes) -> Profile:
-        """Return the best nodes at the parameters x (p,), sought from these nodes alone."""
+        """Return the profile at the parameters x (p,), with nodes that are solved from these."""
         return self._best_states(self._at(x, nodes), EXACT)
 
     def _best_states(self, iterate: Iterate, progress: Progress) -> Profile:
+        """Return the profile at the parameters of an iterate, from which its nodes are solved."""
         most = self.settings.max_iter
         end = descend(self._parts, iterate, progress, most, states_only=True)
         return self._profile(end.iterate, converged=end.status.startswith(CONVERGED))
 
     def _profile(self, iterate: Iterate, *, converged: bool) -> Profile:
+        """Return the trajectories and the cost of an iterate."""
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
         cost = self._parts.cost(iterate, 0.0)
@@ -315,7 +356,7 @@ class GaussNewton(Descent):
 
     @DIVERGING
     def is_minimum(self, x: Array, profile: Profile) -> bool:
-        """Return whether no step from the parameters x (p,) and their best nodes gains anything."""
+        """Return whether x (p,) with the nodes of its profile is a minimum within the limits."""
         iterate = self._at(x, [trajectory.nodes for trajectory in profile.trajectories])
         # IPOPT widens bounds and constraints by 1e-8.
         if not profile.converged or self.limits.violation(iterate.z, rounding=1e-7) > 0:
@@ -329,9 +370,9 @@ class GaussNewton(Descent):
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
         """Return the trajectories at z (p,), with nodes close to the data and nearly continuous.
 
-        None where the model diverges.
+        None if the model diverges. Another solver begins with them.
         """
-        # Three iterations of the nodes are enough for another solver to begin with.
+        # Three iterations of the nodes are enough for that.
         end = descend(self._parts, self._parts.at(z), relaxed(), 3, states_only=True)
         if end.status in (NOT_FINITE, SINGULAR):
             return None
@@ -345,7 +386,10 @@ class GaussNewton(Descent):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
-        # The part remembers its linearization along the very trajectory of the polished minimum.
-        if self._polished and self._polished[0] is x and self._polished[1] is nodes:
-            return self._polished[2]
+        # Parts keep their linearization along the trajectory object of the polished minimum, from
+        # which the standard errors follow. An equal new iterate would compute it again.
+        if self._polished:
+            polished_x, polished_nodes, polished_iterate = self._polished
+            if x is polished_x and nodes is polished_nodes:
+                return polished_iterate
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))

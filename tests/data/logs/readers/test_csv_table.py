@@ -132,11 +132,33 @@ def test_the_clock_may_start_again(saved):
         ),
         ("time [weeks],x\n1,2\n2,3\n", r"has the column 'time \[weeks\]', which is not a time"),
         ("t,name\n1,a\n2,b\n", "has no numeric column besides the time"),
+        ("time,u\n0.0 s,1.2 N\n0.1 s,1.3 N\n", "has no column of numbers, as in '0.1 s,1.3 N'"),
+        ("u:1.2\ty:0.1\nu:1.3\ty:0.2\n", "has no column of numbers, as in 'u:1.3"),
+        (
+            "t,signal,x\n0,u,1\n0,y,2\n1,u,3\n1,y,4\n",
+            "has rows of u and y at each time, by .* 'signal'",
+        ),
     ],
 )
 def test_what_is_no_table_is_refused(saved, text, match):
     with pytest.raises(ValueError, match=match):
         saved(text)
+
+
+def test_exponents_of_fortran(saved):
+    record = saved("# t u 2D-3\n0.0D+00 1.5D-03 1.0\n1.0D-02 -1.5D+01 2.0\n")["flight"]
+    np.testing.assert_array_equal(record["u"], [0.0015, -15])
+    assert list(record.signals) == ["u", "2D-3"]
+
+
+def test_settings_of_labview_are_no_table(saved):
+    settings = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\nX0\t0.0\t0.0\n"
+    names = "***End_of_Header***\t\nX_Value\tForce\tPosition\tComment\n"
+    rows = "0.00\t1.5\t0.1\n0.02\t1.6\t0.2\n0.04\t1.7\t0.3\n"
+    record = saved(settings + names + rows, columns={"time": "X_Value:s", "u": "Force"})["flight"]
+    np.testing.assert_allclose(record.time, [0, 0.02, 0.04])
+    np.testing.assert_array_equal(record["u"], [1.5, 1.6, 1.7])
+    np.testing.assert_array_equal(record["Position"], [0.1, 0.2, 0.3])
 
 
 def test_a_table_without_a_time_holds_rows(saved):

@@ -57,7 +57,7 @@ def test_a_pipe_is_refused_before_it_blocks(tmp_path):
         (b"to whom it may concern, greetings\n", "looks like text that starts with .to whom"),
         (
             b"PK\3\4rest",
-            "looks like a zip archive, which greybox does not read; supported are: ArduPilot DataFlash",
+            "is a zip archive, which greybox does not read: unpack it, unzip thing.xyz",
         ),
         (b"just a few words", "looks like text that starts with 'just a few words', which"),
         (b"\1\2\3\4\5", "looks like binary data that start with 01 02 03 04, which"),
@@ -140,10 +140,21 @@ def test_the_first_bytes_tell_the_format(head, module):
     assert next((known.module for known in FORMATS if known.recognizes(head)), "") == module
 
 
-@pytest.mark.parametrize("head", [b"PK\3\4", b"\x1f\x8b\x08", b"%PDF-1.7", b"\x89PNG\r"])
-def test_files_of_other_programs_are_named(tmp_path, head):
+@pytest.mark.parametrize(
+    ("head", "cure"),
+    [
+        (b"PK\3\4", "a zip archive.*unzip x"),
+        (b"PK\3\4..[Content_Types].xml", "a spreadsheet.*read_excel.'x'.*index=False"),
+        (b"PK\3\4..time.npy", "arrays of numpy.*numpy.load.'x'"),
+        (b"\x1f\x8b\x08", "a gzip archive.*gunzip x"),
+        (b'{"time": [0.0, 0.1], "u": [1, 2]}', "JSON.*read_json.'x', lines=False"),
+        (b'{"t": 0.0, "u": 1.0}\n{"t": 0.1, "u": 1.0}\n', "JSON.*read_json.'x', lines=True"),
+        (b"#ROSBAG V2.0\n", "a ROS bag.*PlotJuggler"),
+        (b"%PDF-1.7", "a PDF"),
+        (b"\x89PNG\r", "a PNG image"),
+    ],
+)
+def test_files_of_other_programs_are_named_with_what_makes_a_table_of_them(tmp_path, head, cure):
     (tmp_path / "x").write_bytes(head)
-    with pytest.raises(
-        ValueError, match=r"looks like a (zip archive|gzip archive|PDF|PNG image), which"
-    ):
+    with pytest.raises(ValueError, match=f"is {cure}"):
         read(tmp_path / "x")

@@ -10,6 +10,8 @@ from spring_lag_tilt import HELD
 import greybox as gb
 from greybox.assessment.verdict import verdict
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def emptied(seed):
     """Return a record of two tanks whose pump stands still half of the time."""

@@ -26,6 +26,8 @@ from greybox.engine.solve.gauss_newton.settings import Settings
 from greybox.engine.solve.multistart import multistart
 from greybox.engine.solve.promising import Promising
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
 
 
