@@ -363,7 +363,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     if quality.usable:
         try:
             response, points, linear = estimated(record)
-            detail = str(response)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = [
                 *systematic_errors(recording, record, response, control, used, amplitudes),
@@ -373,6 +372,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
                 *hold_error(response),
             ]
             response = with_systematic_errors(response, errors)
+            detail = str(response)
             # The table of sines shows the errors of the response, including the systematic ones.
             if points:
                 detail = points.with_variance(response.variance).table
