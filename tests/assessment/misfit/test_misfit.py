@@ -489,7 +489,7 @@ def test_parts_may_disagree_without_a_cause():
 @pytest.mark.parametrize(
     ("left", "drift", "words"),
     [
-        (0.24, 0.9, "explains the data: no evidence of any"),
+        (0.24, 0.75, "explains the data: no evidence of any"),
         (
             0.44,
             0.1,
@@ -497,7 +497,7 @@ def test_parts_may_disagree_without_a_cause():
         ),
         (
             0.83,
-            0.9,
+            0.75,
             "is not contradicted by the data: 83 % of the variance is unexplained, with no evidence of any",
         ),
     ],
@@ -508,7 +508,7 @@ def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
     assert misfit.is_conditional == (left > 0.25)
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.05, 0.6, 0.9])
+@pytest.mark.parametrize("drift", [0.0, 0.05, 0.6, 0.75])
 def test_how_much_of_the_residuals_their_past_predicts_is_said(drift):
     misfit = Misfit(0.02, 0.02, 3, (), p_common=1.0, drift=drift, is_unstable=False)
     words = f"earlier samples predict {100 * drift:.0f} % of these residuals, which are not white"
