@@ -9,6 +9,7 @@ Thrust and inertia are per mass (m/s² and m²), because no flight determines a 
 """
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import greybox as gb
@@ -131,6 +132,28 @@ def regular_frame(number=4, arm=0.1, plus=False):
         (arm * math.cos(turn), -arm * math.sin(turn), 1 if k % 2 == 0 else -1)
         for k, turn in enumerate(turns)
     )
+
+
+def rotor_places(rotors):
+    """Return the places of rotors that a model is told: places, (number, arm), or a number.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two rotors, or what is no place.
+    """
+    if isinstance(rotors, int):
+        places = regular_frame(rotors)
+    elif len(rotors) == 2 and isinstance(rotors[0], int):
+        places = regular_frame(*rotors)
+    else:
+        places = tuple(tuple(place) for place in rotors)
+    if len(places) < 2 or any(len(place) != 3 for place in places):
+        raise ValueError(
+            f"rotors = {rotors!r}: give at least two, each as (x, y, direction) with x and y in m, "
+            "or (number, arm), or their number."
+        )
+    return places
 
 
 def numbered(letter, count):
@@ -320,20 +343,23 @@ class Thrust(gb.StateSpace):
     r"""Specific force along the rotor axes from the commands of all rotors, (4.21).
 
     $$T_\Omega \dot w_k = u_k(t - T_{delay}) - w_k, \quad f_k = c_0 + c_1 w_k + c_2 w_k^2,
-    \quad a_z = \sum_k f_k$$
+    \quad a_z = \sum_k f_k - a_{5z} v_z, \quad \dot v_z = a_z - a_0$$
 
     For an accelerometer near the center of mass. The speeds $w_k$ are those at rest for the
-    commands.
+    commands. The climb $v_z$ slows the thrust that a step of the commands leaves, as a lag would:
+    without it, the lag comes out short. $a_0$ is the mean of gravity and tilt.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21).
 
     Parameters
     ----------
-    rotors : sequence of (x, y, direction), or int
-        Places in m; direction 1 is counterclockwise, seen from above. A number is that of
-        `regular_frame`.
+    rotors : sequence of (x, y, direction), or (number, arm), or int
+        Places in m; direction 1 is counterclockwise, seen from above. A number and an arm are those
+        of `regular_frame`.
     speeds : bool
         The inputs are measured rotor speeds Omega_k in krad/s, without a lag, instead of commands.
+    climb : bool
+        Include the climb and its drag.
 
     Raises
     ------
@@ -357,28 +383,31 @@ class Thrust(gb.StateSpace):
         5.0, bounds=(0.01, 200), unit="m/s²", about="thrust per mass and squared speed"
     )
     m = gb.Parameter(1.0, bounds=(1e-3, 100), unit="kg", about="mass, by a scale", fixed=True)
+    a5_z = gb.Parameter(
+        0.2, bounds=(-1, 5), unit="1/s", about="linear drag along the rotor axes", fixed=True
+    )
+    a_0 = gb.Parameter(
+        gb.g, bounds=(5, 15), unit="m/s²", about="specific force of a steady climb", fixed=True
+    )
     derived = {"F_max": lambda p: p.m * (p.c_0 + p.c_1 + p.c_2)}
     # Parameters of the lag, which measured speeds do not have.
     of_lag = ("T_rotor", "T_delay", "h")
+    of_climb = ("a5_z", "a_0")
 
-    def __init__(self, rotors=4, speeds=False):
-        self.rotors = regular_frame(rotors) if isinstance(rotors, int) else tuple(rotors)
+    def __init__(self, rotors=4, speeds=False, climb=False):
+        self.rotors = rotor_places(rotors)
         count = len(self.rotors)
-        if count < 2 or any(len(place) != 3 for place in self.rotors):
-            raise ValueError(
-                f"rotors = {rotors!r}: give at least two, each as (x, y, direction) with x and y "
-                "in m, or their number."
-            )
         self.commands = numbered("Omega" if speeds else "u", count)
         self.lagged = () if speeds else numbered("w", count)
         self.delays = {} if speeds else dict.fromkeys(self.commands, "T_delay")
-        absent = self.of_lag if speeds else ()
+        self.climb = ("v_z",) if climb else ()
+        absent = (*(self.of_lag if speeds else ()), *(() if climb else self.of_climb))
         self.parameters = {
             name: parameter
             for name, parameter in type(self).parameters.items()
             if name not in absent
         }
-        self.declare(self.lagged, self.commands, ("a_z",))
+        self.declare((*self.climb, *self.lagged), self.commands, ("a_z",))
 
     def declare(self, states, inputs, outputs):
         """Set the signals and their units."""
@@ -412,11 +441,17 @@ class Thrust(gb.StateSpace):
         """Return the derivatives of the rotor speeds; none without a lag."""
         return rotor_lag(*self.rotor_signals(x, u), p.T_rotor) if self.lagged else ()
 
+    def lift(self, x, u, p):
+        """Return the specific force along the rotor axes."""
+        lift = sum(thrusts(self.rotor_signals(x, u)[1], p))
+        return lift - p.a5_z * x.v_z if self.climb else lift
+
     def derivative(self, x, u, p):
-        return self.rising(x, u, p)
+        climbing = (self.lift(x, u, p) - p.a_0,) if self.climb else ()
+        return (*climbing, *self.rising(x, u, p))
 
     def output(self, x, u, p):
-        return (sum(thrusts(self.rotor_signals(x, u)[1], p)),)
+        return (self.lift(x, u, p),)
 
 
 class Rotation(Thrust):
@@ -491,6 +526,16 @@ class Rotation(Thrust):
             self.parameters.pop(name, None)
         self.declare((*self.axes, *self.lagged), (*self.commands, *measured), self.axes)
 
+    @property
+    def exports(self):
+        """How `greybox export` writes a vehicle: a function of the values for each ending."""
+        from greybox.models.multirotor_export import to_mjcf, to_rotorpy  # noqa: PLC0415
+
+        return {
+            ".xml": lambda values: to_mjcf(self, values),
+            ".py": lambda values: to_rotorpy(self, values),
+        }
+
     def inertia(self, p):
         """Return the inertias per mass about x, y and z."""
         return p.j_x, p.j_y, p.s_z * (p.j_x + p.j_y)
@@ -548,9 +593,7 @@ class Multirotor(Rotation):
     a5 = gb.Parameter(
         0.0, bounds=(-1, 5), unit="1/s", about="linear drag across the rotor axes", fixed=True
     )
-    a5_z = gb.Parameter(
-        0.0, bounds=(-1, 5), unit="1/s", about="linear drag along the rotor axes", fixed=True
-    )
+    a5_z = replace(Thrust.a5_z, start=0.0)
     C_x = gb.Parameter(
         0.0, bounds=(-1, 2), unit="1/m", about="drag per squared velocity", fixed=True
     )
@@ -563,7 +606,7 @@ class Multirotor(Rotation):
         )
         for axis in ("forward", "left", "up")
     )
-    of_motion = ("a5", "a5_z", "C_x", "b_rotor")
+    of_motion = ("a5", "C_x", "b_rotor")
 
     def __init__(self, rotors=4, attitude="", position=False, speeds=False):
         if attitude not in ("", "angles", "quaternion"):
@@ -578,7 +621,9 @@ class Multirotor(Rotation):
         self.state_starts = {"q_w": 1.0} if attitude == "quaternion" else {}
         rigid = (*self.position, *(VELOCITY if attitude else ()), *self.attitude, *RATES)
         self.declare((*rigid, *self.lagged), self.commands, (*rigid, *SPECIFIC_FORCE))
-        if not attitude:
+        if attitude:
+            self.parameters["a5_z"] = type(self).a5_z
+        else:
             for name in self.of_motion:
                 del self.parameters[name]
 
@@ -603,3 +648,9 @@ class Multirotor(Rotation):
         place = (p.x_a, p.y_a, p.z_a)
         felt = accelerometer(self.force(x, u, p), x, self.turning(x, u, p), place)
         return (*(x[name] for name in self.outputs[:-3]), *felt)
+
+    def stages(self, recordings):
+        """Return how the vehicle is fitted to flight logs: see `multirotor_stages`."""
+        from greybox.models.multirotor_stages import flight_stages  # noqa: PLC0415 - needs models
+
+        return flight_stages(self.rotors, recordings)

@@ -75,6 +75,10 @@ class Quantity:
         the measured magnitude a gain comes out too low, with the model's too high. First
         order in the variance of the errors. The value includes the bias; intervals are centered on
         the value without it.
+    systematic : float
+        Share of the standard error, in the same units, of errors that all points of a response have
+        in common, such as that of a truncated output: longer tests do not reduce it. The squares of
+        it and of the scatter add up to that of `standard_error`.
     has_computed_bounds : bool
         Whether the model computed the bounds, which then say nothing to a reader.
     """
@@ -90,6 +94,7 @@ class Quantity:
     dof: float = math.inf
     box: Interval = (-math.inf, math.inf)
     bias: float = 0.0
+    systematic: float = 0.0
     has_computed_bounds: bool = False
 
     def __repr__(self) -> str:

@@ -2,22 +2,26 @@
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.assessment.storage import save
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
+from greybox.cli.options import UsageError
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import response_json
 from greybox.data.files.json_numbers import plain
-from greybox.data.files.named_values import attributes
+from greybox.data.files.named_values import attributes, non_empty
 from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.readers import read
+from greybox.data.record import Recording
 from greybox.data.response_file import write_response
 from greybox.workflows.identification.identify import Identification, identify
 from greybox.workflows.identification.orders import STARTS
+from greybox.workflows.identification.stages import Staged, fit_in_stages
 from greybox.workflows.identification.structure_fit import Structure
 from greybox.workflows.study.catalog import find_model
 
@@ -26,6 +30,7 @@ EXAMPLES = (
     "flight.BIN --axis pitch --band 0.5 12 Hz --out pitch",
     "first.BIN second.BIN --fix T_delay=0.004",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
+    "log10 --structures 'multirotor:Multirotor((4, 0.04))' --fix m=0.027",
 )
 # The options that people use; the help shows the others below them.
 USED = "--input --output --axis --band --columns --structures --fix --bounds --out --details"
@@ -46,7 +51,8 @@ logs LOG...
     names for this output)
 --structures MODEL[+NAME]...
     models to fit and compare, as in greybox fit --model, each with the parameters to free (default:
-    rational transfer functions of rising order, for any vehicle)
+    rational transfer functions of rising order, for any vehicle); one with stages, such as
+    multirotor:Multirotor((4, 0.04)), is fitted alone, to the records of the logs
 --fix
 --free
 --bounds
@@ -79,9 +85,12 @@ def run(options: argparse.Namespace) -> Answer:
 
     gaps = options.gaps or "auto"
     recordings = [read(log, columns=options.columns, gaps=gaps) for log in options.logs]
+    structures = [_structure(word) for word in options.structures]
+    if any(isinstance(structure.model, Staged) for structure in structures):
+        return _in_stages(structures, recordings, options, result)
     identification = identify(
         recordings,
-        structures=[_structure(word) for word in options.structures],
+        structures=structures,
         fixed=options.fix,
         **attributes(options, "through", "free", "bounds", "start", "all_points", "starts", "seed"),
         **stated_choices(options),
@@ -121,6 +130,39 @@ def run(options: argparse.Namespace) -> Answer:
         following.append(["margins", str(result), "--log", str(options.logs[0])])
     answer["next"] = [shlex.join(["greybox", *words]) for words in following]
     return answer, *text, "", "Next:", *(f"  {command}" for command in answer["next"])
+
+
+def _in_stages(
+    structures: Sequence[Structure],
+    recordings: Sequence[Recording],
+    options: argparse.Namespace,
+    path: Path,
+) -> Answer:
+    """Fit the only structure in its stages; write the last fit."""
+    if len(structures) > 1:
+        raise UsageError(
+            f"{structures[0].name} is fitted in stages, to the records of a log and not to a "
+            "frequency response: give it as the only structure."
+        )
+    (structure,) = structures
+    stated = {"fixed": options.fix, **attributes(options, "bounds", "start")}
+    stated["free"] = [*structure.free, *options.free]
+    found = fit_in_stages(
+        structure.model,
+        recordings,
+        non_empty(stated),
+        label=structure.name,
+        seed=options.seed,
+    )
+    fits = {name: fit.to_dict() for name, fit in found.fits.items()}
+    answer: dict[str, Any] = {"stages": fits}
+    if found.failure:
+        answer["error"] = found.failure
+    if not found.fit.converged:
+        return answer, str(found)
+    save(replace(found.fit, command=options.arguments), path)
+    answer["files"] = [path]
+    return answer, str(found), "", f"saved {path}"
 
 
 def _structure(word: str) -> Structure:

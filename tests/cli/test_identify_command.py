@@ -4,8 +4,10 @@ import json
 import shlex
 from importlib.resources import files
 
+import numpy as np
 import pytest
 from command_line import run
+from scipy.signal import lfilter
 from synthetic_logs import px4_flight
 
 import greybox as gb
@@ -124,3 +126,58 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     for name, truth in (("K_phi", 60.0), ("a", 2.0), ("T_rotor", 0.05)):
         fit = answer["fit"]
         assert abs(fit["estimate"][name] - truth) < 3 * fit["standard_error"][name]
+
+
+STAGED = """
+import greybox as gb
+from greybox.workflows.identification.stages import Stage
+
+
+class Lag(gb.StateSpace):
+    states = ("x",)
+    T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+    K = gb.Parameter(1.5, bounds=(0.1, 9))
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.x) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+    def stages(self, recordings):
+        record = next(iter(recordings[0].values()))
+        return (
+            Stage("alone", "with a known gain.", lambda fits: gb.Problem(self, record, fixed={"K": 2.0})),
+            Stage("both", "from there.", lambda fits: gb.Problem(self, record), lambda fits: [{"T": fits["alone"].estimate["T"]}]),
+        )
+"""
+
+
+def test_a_structure_with_stages_is_fitted_to_the_record(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "staged.py").write_text(STAGED, encoding="utf-8")
+    record = gb.Record(np.arange(0, 10, 0.05), {"u": np.sign(np.sin(np.arange(0, 10, 0.05)))})
+    x = lfilter([0.1], [1, -0.95], record["u"])  # 20 samples of 0.05 s, and a gain of 2
+    noise = np.random.default_rng(0).normal(size=200)
+    lines = [
+        "time,u,y",
+        *(
+            f"{t:.2f},{u},{y}"
+            for t, u, y in zip(record.time, record["u"], x + 0.05 * noise, strict=True)
+        ),
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
+    structure = ("--structures", "staged.py:Lag")
+    status, out, _ = run(capsys, "identify", "log.csv", *structure, "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert answer["files"] == ["log_fit.h5"]
+    assert answer["stages"]["alone"]["estimate"]["K"] == 2.0
+    both = answer["stages"]["both"]
+    assert both["estimate"]["K"] == pytest.approx(2.0, abs=4 * both["standard_error"]["K"])
+    assert both["estimate"]["T"] == pytest.approx(1.0, rel=0.1)
+    assert gb.load("log_fit.h5", models=[]).estimate["T"] == both["estimate"]["T"]
+
+    status, _, err = run(capsys, "identify", "log.csv", *structure, "tilt:Tilt", "--force")
+    assert status == 2
+    assert "give it as the only structure" in err

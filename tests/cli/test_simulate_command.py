@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import xml.etree.ElementTree as ET
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from command_line import RECORD, refused, run
 
 import greybox as gb
+from greybox.models.multirotor import Rotation
 
 
 @pytest.fixture
@@ -62,3 +64,27 @@ def test_exported_c_source_is_the_model(capsys, saved, tmp_path):
     compiled = ca.external(expected.name(), str(tmp_path / "lag.so"))
     for there, here in zip(compiled(0.3, 2.0), expected(0.3, 2.0), strict=True):
         assert float(there) == pytest.approx(float(here))
+
+
+def test_a_vehicle_is_drawn_for_simulators(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(0)
+    model = Rotation((4, 0.1), axes="p")
+    time = np.arange(0, 3, 0.02)
+    values = {name: 0.7 + 0.1 * random.normal(size=150) for name in ("u_1", "u_2", "u_3", "u_4")}
+    record = gb.Record(time, values | dict.fromkeys(("q", "r"), 0 * time))
+    known = {"T_rotor": 0.05, "c_2": 5.0, "j_y": 2e-3, "m": 0.5}
+    p = gb.simulate(model, {**known, "j_x": 2e-3}, record)["p"] + 0.05 * random.normal(size=150)
+    problem = gb.Problem(model, record.with_signals(p=p), fixed=known)
+    gb.save(gb.fit(problem, 1, progress=False), "vehicle.h5")
+    run(capsys, "export", "vehicle.h5", "vehicle.py")
+    _, out, _ = run(capsys, "export", "vehicle.h5", "v.xml", "--draws", "3", "--json")
+    assert json.loads(out)["files"] == ["v_001.xml", "v_002.xml", "v_003.xml"]
+    inertias = {
+        float(ET.parse(f"v_00{k}.xml").find(".//inertial").get("diaginertia").split()[0])
+        for k in (1, 2, 3)
+    }
+    assert len(inertias) == 3
+    assert all(abs(J - 0.5 * 2e-3) < 2e-4 for J in inertias)
+    assert "v_001.xml exists" in refused(capsys, "export", "vehicle.h5", "v.xml", "--draws", "2")
+    assert "--draws is for" in refused(capsys, "export", "vehicle.h5", "v.csv", "--draws", "2")

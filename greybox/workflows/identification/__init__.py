@@ -7,6 +7,7 @@ Begin with `identify`.
 | `identify` | the whole chain, from logs to a fitted model |
 | `choices` | tests, axis and signals of a log |
 | `orders` | rational transfer functions of rising order |
+| `stages` | fits of one structure to records, each with the values of those before it |
 | `structure_fit` | the fit of one structure, within bounds that do not decide |
 | `selection` | the structures side by side, the chosen one, the verdict |
 | `measurement` | tests to a frequency response, in open or closed loop |

@@ -51,6 +51,7 @@ from greybox.workflows.identification.logged_faults import Repaired, repaired
 from greybox.workflows.identification.loop import controller_in, loop_text
 from greybox.workflows.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.workflows.identification.systematic_errors import (
+    hold_error,
     motor_saturation,
     systematic_errors,
     truncation_error,
@@ -361,18 +362,21 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     spans = spans or [record.span]
     pieces = [record.between(*span) for span in spans]
+
+    estimated = partial(_estimated, spans=spans, sines=used if are_sines else (), settings=settings)
     if quality.usable:
         try:
-            response, points, linear = _estimated(
-                record, pieces, used if are_sines else (), settings
-            )
-            detail = str(response)
+            response, points, linear = estimated(record)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = [
                 *systematic_errors(recording, record, response, control, used, amplitudes),
-                *truncation_error(recording, record, response, output, amplitudes),
+                *truncation_error(
+                    recording, record, response, output, lambda other: estimated(other)[0]
+                ),
+                *hold_error(response),
             ]
             response = with_systematic_errors(response, errors)
+            detail = str(response)
             # The table of sines shows the errors of the response, including the systematic ones.
             if points:
                 detail = points.with_variance(response.variance).table
@@ -562,7 +566,7 @@ def _rate(recording: Recording, settings: Settings, used: Segments) -> float | N
 
 
 def _estimated(
-    record: Record, pieces: Sequence[Record], sines: Segments, settings: Settings
+    record: Record, spans: Sequence[Interval], sines: Segments, settings: Settings
 ) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     """Estimate the response.
 
@@ -592,6 +596,7 @@ def _estimated(
         return replace(estimate.response, about=about), estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
+    pieces = [record.between(*span) for span in spans]
     linear = {}
     if settings.period:
         measured = periodic_response(
