@@ -23,11 +23,14 @@ PERIOD, POWER = 12, 0.98
 # Periods on each side of a row, and the degree in time of the ratio of output to input there. With
 # two periods, resonances of right plants look like steps; with four, more jumps are missed.
 PERIODS, DEGREE = 3, 3
+# Means of successive rows on each side of a row, by which a window of any length has one size, and
+# windows that are computed together.
+BINS, TOGETHER = 10 * PERIODS, 1000
 # The least angle, rad, by which the ratio turns, the most by which the log of its magnitude
 # changes, and how much smaller the sum of squares becomes with this step.
 ANGLE, MAGNITUDE, CLEARER = 0.1, 0.15, 1.3
 # Lags of a linear model of the record, and how much smaller its sum of squares becomes with the
-# delay. Of 576 right records one reached 1.05 without a plant that changes suddenly.
+# delay: none of the 480 right sweeps of `benchmarks/damaged_records.py` comes to it.
 LAGS, EXPLAINED = 8, 1.05
 # Steps that are tried in the linear model.
 TRIED = 3
@@ -54,7 +57,7 @@ def sweep_jump(u: Array, y: Array) -> ClockJump | None:
     decimation = max(1, int(1 / (PERIOD * highest)))
     u, y = (_decimated(x - x.mean(), decimation) for x in (u, y))
 
-    steps = [s for s in _steps(u, y) if s.clearer > CLEARER]
+    steps = _steps(u, y)
     steps.sort(key=lambda step: -step.clearer)
     best, jump = EXPLAINED, None
     for step in steps[:TRIED]:
@@ -111,30 +114,47 @@ def _steps(u: Array, y: Array) -> list[Step]:
     analytic = _analytic(u)
     phase = np.maximum.accumulate(np.unwrap(np.angle(analytic)))
     periods = (phase - phase[0]) / (2 * np.pi)
+    middles = np.arange(PERIODS + 1, periods[-1] - PERIODS - 1, 0.25)
+    begin, row, end = (np.searchsorted(periods, middles + k) for k in (-PERIODS, 0, PERIODS))
+    is_long = np.minimum(row - begin, end - row) >= BINS
+    windows = np.stack([begin, row, end], axis=1)[is_long]
+    sums = [np.r_[0, np.cumsum(x)] for x in (analytic, y)]
+
     steps = []
-    for at in np.arange(PERIODS + 1, periods[-1] - PERIODS - 1, 0.25):
-        begin, row, end = np.searchsorted(periods, [at - PERIODS, at, at + PERIODS])
-        time = (np.arange(begin, end) - row + 0.5) / max(row - begin, end - row)
-        near = analytic[begin:end]
-        parts = np.stack([near.real, near.imag])
+    for k in range(0, len(windows), TOGETHER):
+        begin, row, end = windows[k : k + TOGETHER].T
+        # As many bins on both sides, so that all windows have matrices of one size.
+        share = np.arange(BINS + 1) / BINS
+        before = begin[:, None] + np.floor(share * (row - begin)[:, None])
+        after = row[:, None] + np.floor(share * (end - row)[:, None])
+        edges = np.c_[before, after[:, 1:]].astype(int)
+        near, values = (np.diff(total[edges]) / np.diff(edges) for total in sums)
+        half = np.maximum(row - begin, end - row)[:, None]
+        time = ((edges[:, 1:] + edges[:, :-1]) / 2 - row[:, None]) / half
+
+        parts = near.real, near.imag
         smooth = [part * time**power for power in range(DEGREE + 1) for part in parts]
-        columns = np.stack([*smooth, np.ones(time.size), time, *(parts * (time > 0))], axis=1)
-        if end - begin < 2 * columns.shape[1]:
-            continue
-
+        turned = [part * (time > 0) for part in parts]
+        columns = np.stack([*smooth, np.ones_like(time), time, *turned], axis=2)
         q, r = np.linalg.qr(columns)
-        along = q.T @ y[begin:end]
-        if np.abs(np.diag(r)).min() < 1e-9 * np.abs(np.diag(r)).max():
-            continue
-        values = np.linalg.solve(r, along)
-        left = np.sum((y[begin:end] - q @ along) ** 2)
-        clearer = 1 + np.sum(along[-2:] ** 2) / max(left, 1e-18 * np.sum(y[begin:end] ** 2))
+        along = np.einsum("kij,ki->kj", q, values)
+        left = np.sum((values - np.einsum("kij,kj->ki", q, along)) ** 2, axis=1)
+        diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))
+        is_regular = diagonal.min(axis=1) > 1e-9 * diagonal.max(axis=1)
+        r[~is_regular] = np.eye(r.shape[1])
+        found = np.linalg.solve(r, along[..., None])[..., 0]
 
-        before = complex(values[0], -values[1])
-        turn = 1 + complex(values[-2], -values[-1]) / before if before else 0.0
+        square = np.maximum(np.sum(values**2, axis=1), 1e-300)
+        clearer = 1 + np.sum(along[:, -2:] ** 2, axis=1) / np.maximum(left, 1e-18 * square)
+        gain = found[:, 0] - 1j * found[:, 1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = 1 + (found[:, -2] - 1j * found[:, -1]) / gain
+            keeps = np.abs(np.log(np.abs(turn))) < MAGNITUDE
         omega = (phase[end - 1] - phase[begin]) / (end - 1 - begin)
-        if turn and abs(np.angle(turn)) > ANGLE and abs(np.log(abs(turn))) < MAGNITUDE:
-            steps.append(Step(int(row), float(np.angle(turn)), float(omega), float(clearer)))
+        is_step = is_regular & keeps & (np.abs(np.angle(turn)) > ANGLE) & (clearer > CLEARER)
+        for i in np.flatnonzero(is_step):
+            numbers = map(float, (np.angle(turn[i]), omega[i], clearer[i]))
+            steps.append(Step(int(row[i]), *numbers))
     return steps
 
 
