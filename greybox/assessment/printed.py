@@ -150,7 +150,7 @@ def closeness(fit: Any) -> list[tuple[str, str]]:
     model_texts = []
     if untested:
         names = some([part.name for part in untested])
-        model_texts.append(f"not tested for missing terms in {names}")
+        model_texts.append(f"not tested for candidate terms in {names}")
 
     texts = (
         ("data", [data_text(fit)]),
@@ -178,16 +178,22 @@ def parameter_table(fit: Any) -> Table:
         return Table(header, rows, left=(0, 2, 4, 5))
 
     header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    has_systematic = any(q.systematic > 0 for q in fit.quantities)
+    if has_systematic:
+        header.insert(3, "systematic")
     for q in fit.quantities:
         # The biases and noise of a hundred records would fill pages.
         if not _is_of_later_record(q.name, len(fit.records)):
             value, error = with_error(q.value, q.standard_error)
-            rows.append([q.name, value, error, q.unit, *_bounds_and_note(q), q.about])
+            systematic = [number(q.systematic, 2) if q.systematic > 0 else "-"]
+            errors = [error, *systematic] if has_systematic else [error]
+            rows.append([q.name, value, *errors, q.unit, *_bounds_and_note(q), q.about])
     if len(rows) < len(fit.quantities):
         rest = len(fit.quantities) - len(rows)
         rows.append([f"... and {rest} more", *[""] * (len(header) - 1)])
 
-    return Table(header, rows, left=(0, 3, 5, 6))
+    unit = header.index("unit")
+    return Table(header, rows, left=(0, unit, unit + 2, unit + 3))
 
 
 def data_text(fit: Any) -> str:
@@ -237,7 +243,13 @@ def error_statement(fit: Any) -> str:
 
     is_wrong = fit.misfit and not fit.misfit.explains
     valid = ", valid only if the model explains the data" if is_wrong else ""
-    return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
+    common = ""
+    if any(q.systematic > 0 for q in fit.quantities):
+        common = (
+            "; it includes what is systematic: the effect of errors that all points of a response "
+            "share, which longer tests do not reduce"
+        )
+    return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}{common}."
 
 
 def _bias_text(fit: Any) -> str:

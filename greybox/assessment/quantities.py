@@ -49,6 +49,7 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
     errors = propagate(accuracy, slopes)
     dof = degrees(accuracy, slopes)
     bias = slopes @ accuracy.bias
+    systematic = np.linalg.norm(slopes @ accuracy.systematic, axis=1)
 
     # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
     declarations = [_declaration(accuracy, name) for name in nlp.names]
@@ -60,6 +61,7 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
             standard_error=float(errors[k]),
             dof=float(dof[k]),
             bias=float(bias[k]),
+            systematic=float(systematic[k]),
             **declaration,
         )
         result.append(quantity)

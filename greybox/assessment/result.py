@@ -34,9 +34,10 @@ from greybox.data.files.arrays import (
 )
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
-from greybox.data.files.named_values import Values, attributes, places_of
+from greybox.data.files.named_values import ByName, Values, attributes, places_of
 from greybox.data.files.numbers_in_text import with_error
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
@@ -74,6 +75,10 @@ class Quantity:
         the measured magnitude a gain comes out too low, with the model's too high. First
         order in the variance of the errors. The value includes the bias; intervals are centered on
         the value without it.
+    systematic : float
+        Share of the standard error, in the same units, of errors that all points of a response have
+        in common, such as that of a truncated output: longer tests do not reduce it. The squares of
+        it and of the scatter add up to that of `standard_error`.
     has_computed_bounds : bool
         Whether the model computed the bounds, which then say nothing to a reader.
     """
@@ -89,6 +94,7 @@ class Quantity:
     dof: float = math.inf
     box: Interval = (-math.inf, math.inf)
     bias: float = 0.0
+    systematic: float = 0.0
     has_computed_bounds: bool = False
 
     def __repr__(self) -> str:
@@ -96,6 +102,7 @@ class Quantity:
         return one_line(self, f"{self.name} = {value} ± {error} {self.unit}", self.kind)
 
 
+@public
 @frozen
 class Fit(Printed):
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
@@ -222,7 +229,7 @@ class Fit(Printed):
     @cached_property
     def by_name(self) -> dict[str, Quantity]:
         """Every quantity by its name."""
-        return {q.name: q for q in self.quantities}
+        return ByName({q.name: q for q in self.quantities})
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -313,17 +320,17 @@ class Fit(Printed):
     @property
     def estimate(self) -> dict[str, float]:
         """Values of free, fixed and tied parameters by name."""
-        return {q.name: q.value for q in self.quantities if q.kind != "derived"}
+        return ByName({q.name: q.value for q in self.quantities if q.kind != "derived"})
 
     @property
     def derived(self) -> dict[str, float]:
         """Values of the derived quantities by name."""
-        return {q.name: q.value for q in self.quantities if q.kind == "derived"}
+        return ByName({q.name: q.value for q in self.quantities if q.kind == "derived"})
 
     @property
     def standard_error(self) -> dict[str, float]:
         """Standard errors by name, also of derived quantities; NaN if unknown, 0 for a constant."""
-        return {q.name: q.standard_error for q in self.quantities}
+        return ByName({q.name: q.standard_error for q in self.quantities})
 
     @property
     def identifiability(self) -> Identifiability:
@@ -382,7 +389,7 @@ class Fit(Printed):
         Their centers are the values without their `Quantity.bias`. Where standard errors mislead,
         `profiles` has other intervals, or a note asks for them.
         """
-        intervals = {}
+        intervals: dict[str, Interval] = ByName()
         for q in self.quantities:
             if q.kind == "fixed" and not q.standard_error > 0:
                 continue

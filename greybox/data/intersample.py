@@ -31,6 +31,8 @@ HOLD = "hold of the input, s"
 NO_HOLD = "hold divided out, s"
 # Or nobody states how its input, with a sample in every so many seconds, ran between them.
 UNSTATED_HOLD = "hold of the input not stated; sampling interval, s"
+# And what that may do is in its variance, as an error that all frequencies have in common.
+HOLD_IN_ERRORS = "unstated hold"
 # Key of a response from a sweep or noise.
 SPACING = "spacing of the spectral lines, rad/s"
 # Key of a response that was multiplied by a function of frequency: it is not that of samples.

@@ -33,6 +33,7 @@ def said(is_likelihood, *costs, error=0.1):
         size=np.ones(1),
         dof=40.0,
         bias=np.zeros(1),
+        systematic=np.zeros((1, 0)),
     )
     found = SimpleNamespace(minima=minima)
     evidence = Evidence(SimpleNamespace(found=found), accuracy, None)

@@ -10,7 +10,7 @@ from greybox.data.files.arrays import sum_of_squares
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.wording import some
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import HOLD, NO_HOLD, UNSTATED_HOLD
+from greybox.data.intersample import HOLD, HOLD_IN_ERRORS, NO_HOLD, UNSTATED_HOLD
 from greybox.engine.compiled.response_part import ResponsePart
 
 # Deviation of the effect of a parameter from that of a delay: a Padé approximation deviates less.
@@ -26,7 +26,7 @@ def unstated_holds(evidence: Evidence) -> Findings:
     nlp, errors = evidence.nlp, evidence.fit.standard_error
     values = nlp.all_values(evidence.x)
     for part in nlp.parts_of(ResponsePart):
-        if HOLD in part.data.about or NO_HOLD in part.data.about:
+        if not {HOLD, NO_HOLD, HOLD_IN_ERRORS}.isdisjoint(part.data.about):
             continue
         late, is_known = _half_sample(part.data)
         shift = -1j * part.data.omega * part.response(values)

@@ -105,6 +105,11 @@ class Information(ABC):
     disturbed: bool = False
     noise_ratio: float | None = None
 
+    @property
+    def common_errors(self) -> int:
+        """Number of errors that all rows have in common, the last rows of the root of the meat."""
+        return 0
+
     @abstractmethod
     def spread(self, correction: float) -> tuple[float, Array]:
         """Return the bread, a factor on JᵀJ, and a root L (m, k) of the meat M = LᵀL.

@@ -38,6 +38,11 @@ class ResponseInformation(Information):
     common: Array
     independent: float | Array
 
+    @property
+    def common_errors(self) -> int:
+        """Number of errors that all points have in common."""
+        return self.common.shape[1]
+
     def spread(self, correction: float) -> tuple[float, Array]:
         """Return the bread and a root of the meat, see `Information`."""
         bread, meat = self.part.criterion.spread(self.response, self.part.data, correction)

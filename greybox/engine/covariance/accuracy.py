@@ -51,6 +51,9 @@ class Accuracy:
     bias : (k,) array
         Bias of the estimate from the magnitude by which a criterion divides, see
         `AnyCriterion.gain_bias`; without the bias of an earlier fit.
+    systematic : (k, m) array
+        What one standard deviation of each of the errors that points of a response have in common
+        changes in the estimate: the covariance contains its product with itself.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the
         inverse bread.
@@ -71,6 +74,7 @@ class Accuracy:
     size: Array
     dof: float
     bias: Array
+    systematic: Array
     shares: tuple[tuple[Array, float], ...] = ()
     combinations: tuple[Combination, ...] = ()
     at_bound: tuple[str, ...] = ()
@@ -93,6 +97,7 @@ class Accuracy:
             size=np.ones(k),
             dof=0.0,
             bias=np.zeros(k),
+            systematic=np.zeros((k, 0)),
         )
 
 

@@ -180,6 +180,11 @@ def _with_covariance(
 
     # The bias is the least-squares response to what noise adds to the residuals on average.
     bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)
+    common = [
+        part.share.meat[len(part.share.meat) - known.common_errors :]
+        for known, part in zip(accuracy.informations, parts, strict=True)
+    ]
+    systematic = np.eye(k, p) @ inverse @ np.vstack(common).T
     # A quantity that depends on a constant without a standard error has no standard error either.
     unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
     lost = unit_length(slope[:, unknown] / accuracy.size[:, None], 0)
@@ -190,6 +195,7 @@ def _with_covariance(
         blind=np.hstack([accuracy.blind, lost]),
         dof=float(dof),
         bias=bias,
+        systematic=systematic,
         white=inverse,
         independent=independent,
         parts=parts,

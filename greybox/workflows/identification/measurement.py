@@ -20,6 +20,7 @@ from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import non_empty
 from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, listed
 from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
@@ -50,6 +51,7 @@ from greybox.workflows.identification.logged_faults import Repaired, repaired
 from greybox.workflows.identification.loop import controller_in, loop_text
 from greybox.workflows.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.workflows.identification.systematic_errors import (
+    hold_error,
     motor_saturation,
     systematic_errors,
     truncation_error,
@@ -77,6 +79,7 @@ FEEDBACK = (
 )
 
 
+@public
 @dataclass(frozen=True)
 class Settings:
     """What to measure, and how.
@@ -209,6 +212,7 @@ def named_signals(texts: Sequence[str]) -> Mapping[str, str]:
     return signals
 
 
+@public
 @frozen
 class Measurement:
     """A measurement from a log; printed, it is a report.
@@ -318,6 +322,7 @@ class Measurement:
         return "\n\n".join(part for part in parts if part)
 
 
+@public
 def measure(recording: Recording, settings: Settings) -> Measurement:
     """Measure the response of the tests in a log.
 
@@ -357,18 +362,21 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     spans = spans or [record.span]
     pieces = [record.between(*span) for span in spans]
+
+    estimated = partial(_estimated, spans=spans, sines=used if are_sines else (), settings=settings)
     if quality.usable:
         try:
-            response, points, linear = _estimated(
-                record, pieces, used if are_sines else (), settings
-            )
-            detail = str(response)
+            response, points, linear = estimated(record)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = [
                 *systematic_errors(recording, record, response, control, used, amplitudes),
-                *truncation_error(recording, record, response, output, amplitudes),
+                *truncation_error(
+                    recording, record, response, output, lambda other: estimated(other)[0]
+                ),
+                *hold_error(response),
             ]
             response = with_systematic_errors(response, errors)
+            detail = str(response)
             # The table of sines shows the errors of the response, including the systematic ones.
             if points:
                 detail = points.with_variance(response.variance).table
@@ -558,7 +566,7 @@ def _rate(recording: Recording, settings: Settings, used: Segments) -> float | N
 
 
 def _estimated(
-    record: Record, pieces: Sequence[Record], sines: Segments, settings: Settings
+    record: Record, spans: Sequence[Interval], sines: Segments, settings: Settings
 ) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     """Estimate the response.
 
@@ -588,6 +596,7 @@ def _estimated(
         return replace(estimate.response, about=about), estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
+    pieces = [record.between(*span) for span in spans]
     linear = {}
     if settings.period:
         measured = periodic_response(

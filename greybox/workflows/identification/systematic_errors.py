@@ -1,10 +1,11 @@
 """Errors of a response that its scatter does not show: thinned logs, rounded motors, few decimals.
 
-Begin with `systematic_errors`, and see `truncation_error` for outputs that were logged in steps.
+Begin with `systematic_errors`; `truncation_error` is that of outputs that were logged in steps, and
+`hold_error` that of inputs whose hold is not stated.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from greybox.data.files.arrays import Array, ComplexArray, Interval, real_root
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import number
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import HOLD_IN_ERRORS, UNSTATED_HOLD, response_of_hold
 from greybox.data.logs.ardupilot.motors import (
     motor_outputs,
     pwm_of_control,
@@ -29,6 +31,8 @@ from greybox.data.spectral.experiment_quality import SATURATED, Finding, frequen
 # An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
 # standard errors of sine tests of ten periods, 0.2 to 1 %.
 NEGLIGIBLE = 1e-3
+# Step over the standard deviation of an output, below which motions of a thirtieth of it lose less.
+FINE = 1e-4
 
 
 @frozen
@@ -100,13 +104,14 @@ def truncation_error(
     record: Record,
     response: FrequencyResponse,
     output: str,
-    amplitudes: Array | None = None,
+    estimate: Callable[[Record], FrequencyResponse],
 ) -> list[SystematicError]:
     """Return the error of a response whose output may have been truncated by its log, if it counts.
 
     Truncation toward zero subtracts half a step with the sign of the output, and so takes 2 q/(π A)
-    off a sine of amplitude A in steps of q; rounding takes nothing. No log says which, so the error
-    is taken as uniform between both. An output that keeps its sign is only shifted.
+    off a sine of amplitude A in steps of q, and more off the small motions of a sweep; rounding
+    takes nothing. No log says which. So the response is estimated again with these halves added,
+    and the error is taken as uniform between both. An output that keeps its sign is only shifted.
 
     Parameters
     ----------
@@ -116,8 +121,8 @@ def truncation_error(
     response : FrequencyResponse
     output : str
         The output in the log, ``"ATT.Pitch"``.
-    amplitudes : (n,) array, optional
-        Amplitudes of the control at every frequency, for sines. By default, the whole motion.
+    estimate : function
+        Returns the response of a record, as `response` was estimated.
     """
     values = record[response.output]
     raw, name = recording.locate(output)
@@ -128,11 +133,18 @@ def truncation_error(
         return []
 
     q = float(np.diff(levels).min() * np.nanstd(values) / np.nanstd(logged))
-    size = np.full(len(response), math.sqrt(2) * float(np.nanstd(values)))
-    if amplitudes is not None:
-        size = amplitudes * np.abs(response.response)
-    # The deviation of what is uniform from zero to the whole error, about zero.
-    relative = 2 * q / (math.pi * size) / math.sqrt(3)
+    if q < FINE * np.nanstd(values):
+        return []
+
+    mended = values + q / 2 * np.sign(values)
+    whole = estimate(replace(record, signals={**record.signals, response.output: mended}))
+    # Both may have frequencies of their own: logarithms change slowly between them.
+    mended_log, logged_log = (
+        np.log(np.abs(r.response)) + 1j * np.unwrap(np.angle(r.response)) for r in (whole, response)
+    )
+    change = np.interp(response.omega, whole.omega, mended_log) - logged_log
+    error: ComplexArray = np.asarray(np.expm1(change) / math.sqrt(3), dtype=complex)
+    relative = np.abs(error)
     if relative.max() <= NEGLIGIBLE:
         return []
 
@@ -142,7 +154,30 @@ def truncation_error(
         "a fitted gain have in common; larger motions, or a log of more decimals, have less."
     )
     finding = Finding("decimals", "note", float(relative.max()), text)
-    return [SystematicError("truncated output", relative, finding, -relative[None].astype(complex))]
+    return [SystematicError("truncated output", relative, finding, error[None])]
+
+
+def hold_error(response: FrequencyResponse) -> list[SystematicError]:
+    """Return the error of a hold of the input that the log does not state, if it counts.
+
+    A held input makes the response later by about half a sample, an interpolated one does not. As
+    no log says which, the deviation is that of both being as likely, about none.
+    """
+    step = float(response.about.get(UNSTATED_HOLD, math.nan))
+    if not math.isfinite(step):
+        return []
+    error = (response_of_hold(response.omega, step) - 1) / math.sqrt(2)
+    relative = np.abs(error)
+    if relative.max() <= NEGLIGIBLE:
+        return []
+    text = (
+        f"the log does not state whether {response.input or 'the input'} is held between its "
+        f"samples: {_size(relative)} are added to the standard errors, as an error that all "
+        f"frequencies and a fitted delay, up to {number(500 * step, 2)} ms, have in common; state "
+        "it to remove them."
+    )
+    finding = Finding("hold", "note", float(relative.max()), text)
+    return [SystematicError(HOLD_IN_ERRORS, relative, finding, error[None])]
 
 
 def with_systematic_errors(

@@ -70,7 +70,12 @@ def test_they_are_larger_by_how_far_the_common_errors_move_the_estimate(known):
     )
     own = np.sqrt(np.mean(OWN / VARIANCE)) if known else 1.0  # a given variance contains both
     assert_allclose(with_**2, moved**2 + (own * without) ** 2, rtol=0.15 if known else 0.01)
-    assert "common errors" in fitted(criterion, noise=noise, known=known).parts[0].condition
+    fit = fitted(criterion, noise=noise, known=known)
+    assert "common errors" in fit.parts[0].condition
+    systematic = [q.systematic for q in fit.quantities[: len(TRUTH)]]
+    assert_allclose(systematic, moved, rtol=0.02, atol=2e-5)
+    assert "± error  systematic" in str(fit)
+    assert "systematic" not in str(fitted(criterion, common=False, noise=noise, known=known))
 
 
 def test_replicates_have_them_too():

@@ -743,6 +743,7 @@ BARE = Accuracy(
     at_bound=(),
     active=(),
     bias=np.zeros(3),
+    systematic=np.zeros((3, 0)),
 )
 
 
