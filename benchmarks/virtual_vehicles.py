@@ -11,6 +11,7 @@ angular acceleration on thrust, which takes feedback for an effect of the comman
 """
 
 import argparse
+import datetime as dt
 import time
 from pathlib import Path
 
@@ -201,7 +202,7 @@ def main():
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    lines, totals = [], {}
+    lines, totals = [f"greybox {gb.__version__}, {dt.date.today()}"], {}
     for seed in range(options.first, options.first + options.vehicles):
         own, counts = judged(seed)
         for stage, (inside, total) in counts.items():
