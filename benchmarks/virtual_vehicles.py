@@ -2,7 +2,7 @@
 
 python benchmarks/virtual_vehicles.py [VEHICLES] [--first SEED] [--output FILE]
 
-Every vehicle has 4, 6 or 8 rotors, .03 to 10 kg, rotor lags of .01 to .1 s, drag, gusts of force
+Every vehicle has 4, 6 or 8 rotors, .03 to 10 kg, rotor lags of .013 to .08 s, drag, gusts of force
 and moment that last longer than a sample, noise of gyroscope and accelerometer, and a controller of
 rates with a filter of the gyroscope. NumPy flies it at 1 kHz with equations of its own, and its log
 has the form of a Crazyflie's, with rounded commands. All parameters of the stages `rotors`, `roll
