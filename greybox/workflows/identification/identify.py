@@ -124,7 +124,8 @@ class Identification:
             return str(fit)
         # The coefficients of a rational structure are no quantities of the reader's.
         is_rational = all(q.has_computed_bounds for q in fit.quantities if q.kind == "free")
-        if is_rational:
+        # Only the table of the parameters shows what longer tests do not reduce.
+        if is_rational and not any(q.systematic > 0 for q in fit.quantities):
             return text_of_fit(fit, str(numbers))
         return f"{fit}\n\nTransfer function:\n{numbers}"
 
