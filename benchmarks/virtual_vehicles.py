@@ -2,7 +2,7 @@
 
 python benchmarks/virtual_vehicles.py [VEHICLES] [--first SEED] [--output FILE]
 
-Every vehicle has 4, 6 or 8 rotors, .03 to 10 kg, rotor lags of .01 to .1 s, drag, gusts of force
+Every vehicle has 4, 6 or 8 rotors, .03 to 10 kg, rotor lags of .013 to .08 s, drag, gusts of force
 and moment that last longer than a sample, noise of gyroscope and accelerometer, and a controller of
 rates with a filter of the gyroscope. NumPy flies it at 1 kHz with equations of its own, and its log
 has the form of a Crazyflie's, with rounded commands. All parameters of the stages `rotors`, `roll
@@ -11,6 +11,7 @@ angular acceleration on thrust, which takes feedback for an effect of the comman
 """
 
 import argparse
+import datetime as dt
 import time
 from pathlib import Path
 
@@ -201,7 +202,7 @@ def main():
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    lines, totals = [], {}
+    lines, totals = [f"greybox {gb.__version__}, {dt.date.today()}"], {}
     for seed in range(options.first, options.first + options.vehicles):
         own, counts = judged(seed)
         for stage, (inside, total) in counts.items():

@@ -524,6 +524,9 @@ class Rotation(Thrust):
         unused = [f"delta_{rate}" for rate in measured] + (["k_m", "h"] if "r" in measured else [])
         for name in unused:
             self.parameters.pop(name, None)
+        if "r" in measured:
+            # Without yaw, nothing says how far the assumed s_z is from the truth.
+            self.derived = {name: f for name, f in type(self).derived.items() if name != "J_z"}
         self.declare((*self.axes, *self.lagged), (*self.commands, *measured), self.axes)
 
     @property

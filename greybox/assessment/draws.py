@@ -159,9 +159,12 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
         )
 
     columns = dict(zip(fit.names, drawn_values(fit, count, fit.names, seed).T, strict=True))
-    # A model is needed only for derived quantities.
+    # A model is needed only for derived quantities. A prior has none, and a file cannot name its
+    # model.
     parts = fit.parts if fit.derived else ()
     for k, part in enumerate(parts):
+        if part.is_prior:
+            continue
         model = fit.model_of(k)
         parameters = Names({name: columns[part.outside(name)] for name in model.parameters})
         for name in fit.derived.keys() & model.derived.keys() - columns.keys():

@@ -48,7 +48,9 @@ def run(options: argparse.Namespace) -> Answer:
     path = options.file
     fit = saved_fit(options.result, options)
     exports = exports_of(fit)
-    require_writable(path, options.force, (".csv", ".json", ".c", *exports), "export")
+    # Draws have files of their own names.
+    force = options.force or bool(options.draws)
+    require_writable(path, force, (".csv", ".json", ".c", *exports), "export")
     if options.draws or path.suffix in exports:
         return _written_by_model(fit, exports, options)
     if path.suffix == ".c":

@@ -159,6 +159,13 @@ class Motor(gb.StateSpace):
         return x.w, x.a
 
 
+def test_a_loaded_fit_with_a_prior_draws_its_derived_quantities(tmp_path):
+    problem = pitch_hover.problem().with_(criterion=gb.RelativeLikelihood(), prior={"a4": (290, 5)})
+    gb.save(gb.fit(problem, starts=5, progress=False), tmp_path / "pitch.h5")
+    values = gb.draws(gb.load(tmp_path / "pitch.h5"), 10).columns
+    np.testing.assert_allclose(values["a3_tilde"] / values["a3"], 9.8065)
+
+
 def test_gains_at_their_stability_limit_do_not_narrow_the_other_parameters():
     """Without process noise a predictor has gains of zero, where stability ends for some of them."""
     random, time = np.random.default_rng(1), np.arange(0, 8, 0.05)

@@ -77,7 +77,8 @@ def test_a_vehicle_is_drawn_for_simulators(capsys, tmp_path, monkeypatch):
     p = gb.simulate(model, {**known, "j_x": 2e-3}, record)["p"] + 0.05 * random.normal(size=150)
     problem = gb.Problem(model, record.with_signals(p=p), fixed=known)
     gb.save(gb.fit(problem, 1, progress=False), "vehicle.h5")
-    run(capsys, "export", "vehicle.h5", "vehicle.py")
+    for name in ("vehicle.py", "v.xml"):
+        assert run(capsys, "export", "vehicle.h5", name)[0] == 0
     _, out, _ = run(capsys, "export", "vehicle.h5", "v.xml", "--draws", "3", "--json")
     assert json.loads(out)["files"] == ["v_001.xml", "v_002.xml", "v_003.xml"]
     inertias = {

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from evaluation import random_values
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
+from scipy.spatial import transform
 
 import greybox as gb
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.trim import derivative_function
-from greybox.models.multirotor import Multirotor, regular_frame
+from greybox.models.multirotor import Multirotor, Rotation, regular_frame
 
 IRREGULAR = ((0.12, -0.1, 1), (-0.15, -0.08, -1), (-0.1, 0.13, 1), (0.2, 0.11, -1), (0.0, 0.2, 1))
 FREE = ("c_1", "delta_p", "delta_q", "delta_r", "h", "a5", "C_x", "b_rotor", "x_a", "z_a")
@@ -18,7 +18,7 @@ FREE = ("c_1", "delta_p", "delta_q", "delta_r", "h", "a5", "C_x", "b_rotor", "x_
 def by_vectors(model, p, x, u):
     """Return derivative and accelerometer of a vehicle with a quaternion, by vectors."""
     v, quaternion, omega, w = x[:3], x[3:7], x[7:10], x[10:]
-    R = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
+    R = transform.Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
     f = p["c_0"] + p["c_1"] * w + p["c_2"] * w**2
     rising = (u - w) / p["T_rotor"]
     moment = np.zeros(3)
@@ -31,7 +31,7 @@ def by_vectors(model, p, x, u):
     across = p["a5"] + p["b_rotor"] * w.sum()
     linear = np.array([across, across, p["a5_z"]]) * body
     force = np.array([0, 0, f.sum()]) - linear - p["C_x"] * np.abs(body) * body * [1, 1, 0]
-    imaginary = Rotation.from_quat(quaternion[[1, 2, 3, 0]])
+    imaginary = transform.Rotation.from_quat(quaternion[[1, 2, 3, 0]])
     # The derivative of a quaternion is half its product with the rates.
     qw, qv = imaginary.as_quat()[3], imaginary.as_quat()[:3]
     attitude = np.array([-qv @ omega, *(qw * omega + np.cross(qv, omega))]) / 2
@@ -46,7 +46,7 @@ def test_the_equations_in_vectors(rotors):
     count = len(model.rotors)
     for _ in range(5):
         p = random_values(model, random)
-        quaternion = Rotation.random(random_state=random).as_quat()[[3, 0, 1, 2]]
+        quaternion = transform.Rotation.random(random_state=random).as_quat()[[3, 0, 1, 2]]
         if quaternion[0] < 0:
             quaternion = -quaternion
         x = np.concatenate([random.normal(size=3), quaternion, random.normal(size=3)])
@@ -71,7 +71,9 @@ def test_angles_and_quaternion_describe_one_flight():
     for name in ("x", "y", "z", "p", "r", "a_x", "a_z"):
         assert_allclose(flown[0][name], flown[1][name], atol=1e-6)
         assert np.ptp(flown[0][name]) > 1e-3
-    angles = Rotation.from_quat(np.array([flown[1][f"q_{k}"] for k in "xyzw"]).T).as_euler("ZYX")
+    angles = transform.Rotation.from_quat(
+        np.array([flown[1][f"q_{k}"] for k in "xyzw"]).T
+    ).as_euler("ZYX")
     assert_allclose(angles.T, [flown[0][k] for k in ("psi", "theta", "phi")], atol=1e-6)
 
 
@@ -105,3 +107,27 @@ def test_refuses(arguments, sentence):
 def test_no_trim_but_hover():
     with pytest.raises(ValueError, match="is hover"):
         gb.modeling.linearize(Multirotor(4, "angles"), {}, at={"theta": 0.1})
+
+
+def test_without_yaw_there_is_no_moment_of_it():
+    tilt, yaw = Rotation(4, axes="qp"), Rotation(4, axes="r")
+    assert tilt.states[:2] == ("p", "q")
+    assert tilt.inputs[-1] == "r"
+    assert not {"k_m", "h", "delta_r"} & {*tilt.parameters}
+    assert "J_z" in yaw.derived
+    assert "J_z" not in tilt.derived
+    with pytest.raises(ValueError, match="axes = 'x'"):
+        Rotation(4, axes="x")
+
+
+def test_measured_speeds_have_no_lag():
+    model = Multirotor(4, "quaternion", speeds=True)
+    assert not {"T_rotor", "T_delay", "h"} & {*model.parameters}
+    assert len(model.states) == 10
+    p = {"c_2": gb.g / 4 / 0.25, "j_x": 2e-3, "j_y": 3e-3}
+    record = gb.Record(
+        np.arange(0, 1, 0.01), {f"Omega_{k}": 0.5 + 0 * np.arange(100) for k in range(1, 5)}
+    )
+    flown = gb.simulate(model, p, record, initial={"q_w": 1.0})
+    assert_allclose(flown["a_z"], gb.g)
+    assert_allclose(flown["v_z"], 0, atol=1e-9)
