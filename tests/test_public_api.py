@@ -108,6 +108,43 @@ def test_a_model_comes_before_its_values_and_these_before_what_it_is_evaluated_a
             assert arguments[:2] == ["model", "values"], name
 
 
+def _made_of_arguments():
+    """Return the public functions, and the classes that a user makes of arguments."""
+    things = {}
+    for module, name in EVERYTHING:
+        thing = getattr(module, name)
+        if (inspect.isfunction(thing) and name not in FORMULAS) or (
+            dataclasses.is_dataclass(thing) and not inspect.isabstract(thing)
+        ):
+            things[name] = thing
+    return things
+
+
+def test_an_unknown_argument_is_answered_with_the_closest_one():
+    for call, wrong, right in (
+        (gb.Problem, "fix", "fixed"),
+        (gb.fit, "start", "starts"),
+        (gb.Record, "unit", "units"),
+        (gb.spectral.spectral_response, "bands", "band"),
+        (gb.OutputError, "error", "errors"),
+    ):
+        with pytest.raises(TypeError, match=f"no argument '{wrong}'.* did you mean '{right}'"):
+            call(**{wrong: 1})
+    for name, call in _made_of_arguments().items():
+        kinds = {p.kind for p in inspect.signature(call).parameters.values()}
+        if inspect.Parameter.VAR_KEYWORD not in kinds:
+            with pytest.raises(TypeError, match=f"{name} has no argument 'qqq'"):
+                call(qqq=1)
+
+
+def test_signatures_are_short():
+    for name, call in _made_of_arguments().items():
+        text = str(inspect.signature(call))
+        assert "greybox." not in text, name
+        assert "object at" not in text, name
+        assert len(text) < 420, name
+
+
 def test_documented_names_lead_to_folders_wherever_they_stand():
     import greybox.logs
     from greybox.spectral import check

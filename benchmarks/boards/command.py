@@ -36,7 +36,7 @@ def judged(label: str, fit: gb.Fit) -> list[str]:
     """Return what a fit says of its model, and the first cause of a misfit."""
     misfit = fit.misfit
     if misfit is None:
-        return [f"{label}: not tested for missing terms"]
+        return [f"{label}: not tested for candidate terms"]
     return [
         f"{label}: the model {misfit.verdict}",
         *(f"  {cause.explained}" for cause in misfit.likely[:1]),

@@ -17,6 +17,7 @@ from greybox.data.files.arrays import Array, positive_or_one, real_root
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import write_text
 from greybox.data.files.spelling import alternatives
 from greybox.data.files.text_table import text_table
@@ -32,6 +33,7 @@ from greybox.modeling.parameter import lower_and_upper
 LONGEST = 4.0
 
 
+@public
 @frozen
 class Draws(Printed):
     """Parameter sets from the distribution of an estimate, made by `draws`; they print themselves.
@@ -46,6 +48,13 @@ class Draws(Printed):
         Free, fixed and tied parameters, as `Fit.names`.
     columns : mapping of name to (n,) array
         Parameters in the units of the fit, then derived quantities of the models.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> draws = gb.draws(gb.fit(pitch_hover.problem(), starts=5), 50)
+    >>> sorted(draws[0]) == sorted(draws.names)
+    True
     """
 
     name: str
@@ -104,6 +113,7 @@ class Draws(Printed):
         return f"{counted(len(self), 'draw')} from the fit {self.name!r}\n\n{table}"
 
 
+@public
 def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     """Draw parameter sets from the distribution of an estimate.
 

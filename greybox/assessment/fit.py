@@ -20,6 +20,7 @@ from greybox.assessment.checks.included import CHECKS, Check, require_checks
 from greybox.assessment.result import Fit
 from greybox.data.files.argument_checks import require_kind
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.engine.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
@@ -51,6 +52,7 @@ from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
 from greybox.modeling.traced_once import traced_once
 
 
+@public
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem: AnyProblem,
     starts: AnyStarts | None = None,

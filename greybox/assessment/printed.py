@@ -150,7 +150,7 @@ def closeness(fit: Any) -> list[tuple[str, str]]:
     model_texts = []
     if untested:
         names = some([part.name for part in untested])
-        model_texts.append(f"not tested for missing terms in {names}")
+        model_texts.append(f"not tested for candidate terms in {names}")
 
     texts = (
         ("data", [data_text(fit)]),

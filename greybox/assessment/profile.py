@@ -28,6 +28,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import array_of
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.progress import bar
+from greybox.data.files.public import public
 from greybox.data.files.wording import listed
 from greybox.engine.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.engine.compiled.response_part import ResponsePart
@@ -53,6 +54,7 @@ LARGE = 1000
 MOST_WORK = 12
 
 
+@public
 def profile(
     fit: Fit,
     names: Sequence[str] | str | None = None,

@@ -8,6 +8,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.json_numbers import plain
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.spelling import alternatives
 from greybox.data.files.text_table import titled
 
@@ -93,6 +94,7 @@ class ProfileOf:
         return one_line(self, self.name, str(self))
 
 
+@public
 @frozen
 class Profiles(Printed):
     """Profiles of one fit. Printing them gives a line for each.
@@ -109,6 +111,14 @@ class Profiles(Printed):
         The columns of `ProfileOf.others`.
     profiles : tuple of ProfileOf
     warnings : tuple of str
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> profiles = gb.profile(gb.fit(pitch_hover.problem(), starts=5), ["a1"])
+    >>> low, high = profiles["a1"].interval
+    >>> low < high
+    True
     """
 
     name: str

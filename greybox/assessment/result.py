@@ -34,9 +34,10 @@ from greybox.data.files.arrays import (
 )
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
-from greybox.data.files.named_values import Values, attributes, places_of
+from greybox.data.files.named_values import ByName, Values, attributes, places_of
 from greybox.data.files.numbers_in_text import with_error
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
@@ -101,6 +102,7 @@ class Quantity:
         return one_line(self, f"{self.name} = {value} ± {error} {self.unit}", self.kind)
 
 
+@public
 @frozen
 class Fit(Printed):
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
@@ -227,7 +229,7 @@ class Fit(Printed):
     @cached_property
     def by_name(self) -> dict[str, Quantity]:
         """Every quantity by its name."""
-        return {q.name: q for q in self.quantities}
+        return ByName({q.name: q for q in self.quantities})
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -318,17 +320,17 @@ class Fit(Printed):
     @property
     def estimate(self) -> dict[str, float]:
         """Values of free, fixed and tied parameters by name."""
-        return {q.name: q.value for q in self.quantities if q.kind != "derived"}
+        return ByName({q.name: q.value for q in self.quantities if q.kind != "derived"})
 
     @property
     def derived(self) -> dict[str, float]:
         """Values of the derived quantities by name."""
-        return {q.name: q.value for q in self.quantities if q.kind == "derived"}
+        return ByName({q.name: q.value for q in self.quantities if q.kind == "derived"})
 
     @property
     def standard_error(self) -> dict[str, float]:
         """Standard errors by name, also of derived quantities; NaN if unknown, 0 for a constant."""
-        return {q.name: q.standard_error for q in self.quantities}
+        return ByName({q.name: q.standard_error for q in self.quantities})
 
     @property
     def identifiability(self) -> Identifiability:
@@ -387,7 +389,7 @@ class Fit(Printed):
         Their centers are the values without their `Quantity.bias`. Where standard errors mislead,
         `profiles` has other intervals, or a note asks for them.
         """
-        intervals = {}
+        intervals: dict[str, Interval] = ByName()
         for q in self.quantities:
             if q.kind == "fixed" and not q.standard_error > 0:
                 continue

@@ -26,6 +26,7 @@ from greybox.data.files.argument_checks import checked_items
 from greybox.data.files.bounded_json import parsed
 from greybox.data.files.control_characters import printable
 from greybox.data.files.escapes import in_sentences
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import HDF5
 from greybox.data.files.sealed_files import read_sealed, write_sealed
 from greybox.engine.solve.runs import Runs
@@ -41,6 +42,7 @@ READ_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticErr
 ModelSource = Model | type[Model] | ModuleType | str | Path
 
 
+@public
 def save(fit: Fit, path: str | Path) -> None:
     """Write `fit` to an HDF5 file; an existing file is replaced only once the new one is complete.
 
@@ -69,6 +71,7 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(path, to_bytes(fit))
 
 
+@public
 @in_sentences
 def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.

@@ -17,6 +17,7 @@ from greybox.data.files.arrays import (
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, array_of
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, listed
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -126,6 +127,7 @@ class StructuralIdentifiability(Printed):
             yield f"  {listed(self.identifiable)} can be determined."
 
 
+@public
 def structural_identifiability(
     model: Model,
     outputs: Sequence[str] | None = None,

@@ -72,7 +72,7 @@ fits RESULT...
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the fits, try the gains, and return the proposed ones, or to keep today's."""
+    """Read the fits, try sets of gains, and propose one of them or to keep today's gains."""
     endings = (".param", ".parm", ".params", ".txt")
     files = _step_files(options.parameters) if options.parameters else []
     for path in files:
@@ -112,22 +112,23 @@ def run(options: argparse.Namespace) -> Answer:
         lines.append(f"{options.parameters} was not written.")
     elif files:
         about = _comments(safe, options, log)
-        for k, (path, gains) in enumerate(zip(files, safe.steps, strict=True), 1):
-            named = {options.names.get(name, name): value for name, value in gains.items()}
-            write_gains(named, path, [f"Step {k} of {len(files)} from today's gains.", *about])
+        for number, (path, gains) in enumerate(zip(files, safe.steps, strict=True), 1):
+            firmware_gains = {options.names.get(name, name): value for name, value in gains.items()}
+            title = f"Step {number} of {len(files)} from today's gains."
+            write_gains(firmware_gains, path, [title, *about])
         first, second, last = files
         lines.insert(0, f"The proposed gains are in {last}; fly {first} and {second} before.")
     return answer, str(safe), *lines
 
 
 def _step_files(path: Path) -> list[Path]:
-    """Return the files of the steps to the proposed gains; the last is the stated one."""
+    """Return the files of the steps to the proposed gains; the last one is the stated file."""
     before = [path.with_stem(f"{path.stem}_step{k}") for k in range(1, STEPS)]
     return [*before, path]
 
 
 def _comments(safe: SafeGains, options: argparse.Namespace, log: Recording | None) -> list[str]:
-    """Return why the gains are proposed, with intervals, and from which flight."""
+    """Return comments of a parameter file: the sources, today's gains, and the verdict."""
     sources = [str(path) for path in options.fits]
     if log:
         sources.append(f"{log.source}, sha256 {log.checksum}")

@@ -9,11 +9,13 @@ from greybox.data.files.arrays import Interval
 from greybox.data.files.normalization import normalize
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
 
 
+@public
 @dataclass(frozen=True)
 class Segment:
     """One excited segment of an experiment: a sine, a sweep, a multisine, noise or a manoeuvre.
@@ -96,6 +98,7 @@ class Segment:
 Segments = Sequence[Segment]
 
 
+@public
 def segment_table(segments: Segments) -> str:
     """Return the segments as a table for a terminal, with their findings below it."""
     header = (

@@ -15,6 +15,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import attributes
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
@@ -30,6 +31,7 @@ ERRORS, INDEPENDENT = "errors along frequency", "independent"
 DAMAGE = "damage of the samples"
 
 
+@public
 @dataclass(frozen=True)
 class Stretch:
     """A stretch of a record: checksum of the record, start and end in s on its clock."""
@@ -49,6 +51,7 @@ class Stretch:
         normalize(self, checksum=checksum, start=float(self.start), end=float(self.end))
 
 
+@public
 @frozen
 class FrequencyResponse(Printed):
     """The complex response alpha + j beta of one input-output pair at the frequencies `omega`.

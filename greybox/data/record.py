@@ -27,6 +27,7 @@ from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values, array_of, attributes, selected
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.wording import counted, some
 from greybox.data.headings import BETWEEN, units_and_holds
@@ -37,6 +38,7 @@ from greybox.data.units import AmbiguousUnitError, to_si
 NOT_STORED = {"stored": False}  # in the file of a fit
 
 
+@public
 @frozen
 class Record(Printed):
     """One experiment: named signals on one time base, or rows without one.
@@ -172,6 +174,13 @@ class Record(Printed):
                 f"the record has no signal {name!r}; it has {alternatives(name, self.signals)}"
             )
         return self.signals[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.signals
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the names of the signals, as of a mapping; `len` is the number of samples."""
+        return iter(self.signals)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields without cached properties.
@@ -444,6 +453,7 @@ class Record(Printed):
         )
 
 
+@public
 @frozen
 class Recording(Mapping[str, Record]):
     """The contents of one log file: one `Record` for each kind of message, on its own time base.
@@ -483,7 +493,7 @@ class Recording(Mapping[str, Record]):
         if not first:
             raise KeyError(
                 f"{self.source or 'the recording'} has no message {name!r}; it has "
-                f"{', '.join(self.records)}."
+                f"{alternatives(name, self.records)}"
             )
         return self.records[first[0]]
 

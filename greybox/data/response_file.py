@@ -9,6 +9,7 @@ from greybox.data.files.delimited_text import DelimitedText, read_delimited, wri
 from greybox.data.files.escapes import in_sentences
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import without
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import require_file
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.headings import headings, with_units_in_header
@@ -21,6 +22,7 @@ PAIR = "output", "input"  # columns of a table whose rows name their responses
 NAMES = ("input", "output", "name", "source", PAIRS)
 
 
+@public
 @in_sentences
 def read_response(
     path: str | Path,
@@ -91,6 +93,7 @@ def read_response(
         raise ValueError(f"{path}: {error}") from None
 
 
+@public
 @in_sentences
 def read_responses(
     path: str | Path, *, columns: Mapping[str, str] | None = None
@@ -132,6 +135,7 @@ def _table(path: Path) -> tuple[DelimitedText, list[str]]:
     return table, [column.name for column in headings(table.header)]
 
 
+@public
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV file that `read_response` reads back exactly.
 
@@ -151,6 +155,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     write_delimited(path, facts, columns)
 
 
+@public
 def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) -> None:
     """Write several responses, as the matrix of a plant, to one CSV file with common frequencies.
 

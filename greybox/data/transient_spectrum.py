@@ -15,9 +15,11 @@ from greybox.data.files.control_characters import printable, write_out
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.frequency_response import Stretch
 
 
+@public
 @frozen
 class TransientSpectrum:
     """Fourier integrals of the signals of one manoeuvre, at multiples of 2π over its duration.

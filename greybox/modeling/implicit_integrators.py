@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 
+from greybox.data.files.public import public
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -29,6 +30,7 @@ NEWTON = {
 }
 
 
+@public
 @dataclass(frozen=True)
 class ImplicitIntegrator(Integrator):
     """A scheme defined by equations of its stages (n, stages).
@@ -164,6 +166,7 @@ class ImplicitIntegrator(Integrator):
         return ca.Function("step", [v], [halved()(v, 0)], options)(ca.vertcat(x, u, slope, p, h))
 
 
+@public
 @dataclass(frozen=True)
 class Radau(ImplicitIntegrator):
     """Radau IIA with `degree` stages, of order 2 · degree - 1, for stiff models.
@@ -180,6 +183,13 @@ class Radau(ImplicitIntegrator):
         halved where its error is too large.
     degree : int
         Number of stages.
+
+    Examples
+    --------
+    >>> from greybox.models.tilt import LinearTilt
+    >>> record = gb.Record(np.arange(100) / 100, {"u": np.ones(100)})
+    >>> len(gb.simulate(LinearTilt(), record=record, integrator=gb.Radau()))
+    100
     """
 
     degree: int = 3

@@ -12,10 +12,12 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.public import public
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.traced_once import once
 
 
+@public
 @dataclass(frozen=True)
 class Integrator(ABC):
     """A scheme with `substeps` equal steps from one sample to the next.
@@ -35,6 +37,11 @@ class Integrator(ABC):
         it.
     implicit : bool
         True if a step solves equations by iteration, which CasADi expresses in MX only.
+
+    Examples
+    --------
+    >>> [isinstance(i, gb.Integrator) for i in (gb.RungeKutta(), gb.Radau())]
+    [True, True]
     """
 
     substeps: int | None = None
@@ -58,9 +65,19 @@ class Integrator(ABC):
         """Return x (n,) one step h later, from u (m,) at its beginning and their slope (m,)."""
 
 
+@public
 @dataclass(frozen=True)
 class RungeKutta(Integrator):
-    """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""
+    """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1).
+
+    Examples
+    --------
+    >>> from greybox.models.tilt import LinearTilt
+    >>> record = gb.Record(np.arange(100) / 100, {"u": np.ones(100)})
+    >>> moved = gb.simulate(LinearTilt(), record=record, integrator=gb.RungeKutta(substeps=2))
+    >>> len(moved)
+    100
+    """
 
     order = 4
     # The stability region ends at -2.785 on the real and 2.828 j on the imaginary axis.

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import finite_numbers
 from greybox.data.files.arrays import Array, all_finite
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import NO_HOLD
 from greybox.modeling.complex_arithmetic import Complex
@@ -31,6 +32,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.modeling.trim import Trimmed, trim_of
 
 
+@public
 def frequency_response(
     model: Model,
     values: Values | None,

@@ -7,12 +7,14 @@ from greybox.data.files.arrays import Array, ComplexArray, all_finite
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
 from greybox.modeling.traced_once import once
 from greybox.modeling.trim import trim_of
 
 
+@public
 @frozen
 class LinearSystem:
     """``x' = A x + B u(t - delay)``, ``y = C x + D u(t - delay)`` about an operating point.
@@ -66,6 +68,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     return ca.Function("jacobians", [p, x, u], blocks)
 
 
+@public
 @once
 def linearize(
     model: StateSpace,

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
 from greybox.data.files.argument_checks import require_kind
-from greybox.data.files.named_values import Values
+from greybox.data.files.named_values import ByName, Values
 from greybox.data.files.spelling import alternatives
 from greybox.data.files.wording import listed
 from greybox.modeling.declaration import declared_parameters, require_effect, require_usable
@@ -52,7 +52,7 @@ class Model(ABC):
         bases = [base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)]
         require_usable(parameters, cls.__name__, *bases)
         require_effect(cls, bases[0], declares_formulas=bases[0] is not Model)
-        cls.parameters = MappingProxyType(parameters)
+        cls.parameters = MappingProxyType(ByName(parameters))
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments, so that a stored result can name its model."""

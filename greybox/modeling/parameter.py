@@ -10,10 +10,12 @@ import numpy as np
 from greybox.data.files.argument_checks import is_finite_number, require_kind
 from greybox.data.files.arrays import Array, Interval
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.frequency_band import number_pair
 
 
+@public
 @dataclass(frozen=True)
 class Parameter:
     """An unknown (or a declared constant) of a model.

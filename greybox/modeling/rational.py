@@ -13,6 +13,7 @@ import numpy as np
 from greybox.data.files.arrays import ComplexArray
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.modeling.factored_form import factored
 from greybox.modeling.function_of_s import (
     FunctionOfS,
@@ -143,6 +144,7 @@ class Rational(FunctionOfS):
         )
 
 
+@public
 def rational(
     model: Model,
     values: Values | None = None,

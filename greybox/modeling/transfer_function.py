@@ -5,6 +5,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from greybox.data.files.public import public
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.merged_parameters import merged_parameters
 from greybox.modeling.model import Model, ParameterFormula, require_known
@@ -204,6 +205,7 @@ class FeedbackLoop(Connection):
         return f"Feedback({', '.join(part.label for part in self.parts)})"
 
 
+@public
 def feedback(
     forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
 ) -> TransferFunction:

@@ -330,4 +330,4 @@ def test_parts_that_are_not_tested_for_missing_terms_are_named():
     )
     fit = gb.fit(table + gb.Problem(Slope(), flown, gb.MaximumLikelihood()), starts=1)
     assert fit.misfit.explains
-    assert "not tested for missing terms in bench" in str(fit)
+    assert "not tested for candidate terms in bench" in str(fit)

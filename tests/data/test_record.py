@@ -361,3 +361,11 @@ def test_steps_beyond_arithmetic_are_refused(step):
     with pytest.raises(ValueError, match=r"time has a step of .*: give times in s"):
         Record(np.arange(4) * step, {"x": np.ones(4)})
     assert len(Record(np.arange(4) * 1e-9, {"x": np.ones(4)})) == 4
+
+
+def test_a_record_knows_the_names_of_its_signals():
+    record = Record([0.0, 0.1], {"V": [1.0, 2.0], "p": [3.0, 4.0]})
+    assert [*record] == ["V", "p"]
+    assert "V" in record
+    assert "v" not in record
+    assert len(record) == 2

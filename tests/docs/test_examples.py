@@ -44,5 +44,7 @@ def test_a_docstring(name, tmp_path, monkeypatch):
     _hold(inspect.getdoc(getattr(gb, name)), name)
 
 
-def test_the_most_used_names_have_examples():
-    assert len(NAMES) >= 30
+def test_every_name_at_the_top_has_an_example():
+    """Except for namespaces, a number and tuples, which have no docstring of their own."""
+    named = {name for name in dir(gb) if callable(getattr(gb, name))}
+    assert named - {*NAMES} == set()

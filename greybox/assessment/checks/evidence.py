@@ -6,6 +6,7 @@ from greybox.assessment.fitted_part import FittedRecord
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.compiled.part import Trajectory
 from greybox.engine.compiled.record_part import RecordPart
@@ -15,6 +16,7 @@ from greybox.engine.solve.search import Search
 Pairs = list[tuple[RecordPart, FittedRecord]]
 
 
+@public
 @frozen
 class Evidence:
     """A search, its best minimum, and the estimate there.
@@ -27,6 +29,17 @@ class Evidence:
         The covariance, what it consists of, and what the data leave open.
     fit : Fit
         The answer: values, errors, residuals, and the misfit once that is known.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> def few_points(evidence):
+    ...     for part in evidence.fit.responses:
+    ...         if len(part.data) < 20:
+    ...             yield gb.Finding(f"{part.name!r} has {len(part.data)} points.", is_note=True)
+    >>> fit = gb.fit(pitch_hover.problem(), starts=5, checks=[few_points])
+    >>> len(fit.notes) > 0
+    True
     """
 
     search: Search

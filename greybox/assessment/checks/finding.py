@@ -4,9 +4,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from greybox.data.files.grouping import grouped
+from greybox.data.files.public import public
 from greybox.data.files.wording import some
 
 
+@public
 @dataclass(frozen=True)
 class Finding:
     """A sentence of a check.
@@ -22,6 +24,11 @@ class Finding:
         Name of the record or response that it concerns.
     is_note : bool
         True for a remark, which is no reason to doubt the values.
+
+    Examples
+    --------
+    >>> print(gb.Finding("the phase was looked at.", is_note=True).text)
+    the phase was looked at.
     """
 
     text: str

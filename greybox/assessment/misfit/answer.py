@@ -207,7 +207,7 @@ class Misfit(Printed):
                 "reproduces the data except for rounding and integration errors, as in a "
                 "simulation without noise, so standard errors mean little"
             )
-        left = f"{percent(self.left)} % of their variance is left and follows"
+        left = f"{percent(self.left)} % of the variance is unexplained"
         noise = ""
         if self.noise < 0.9 * self.left:  # closer shares look alike with two digits
             noise = f"; noise alone would leave about {percent(self.noise)} %"
@@ -223,30 +223,30 @@ class Misfit(Printed):
                 "PredictionError(disturbance={state: 'colored'})"
             )
         return (
-            f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
-            f"{noise}{common}{gusts}"
+            f"does not explain the data: {left} and follows the excitation "
+            f"({_chance(self.p_value)}){noise}{common}{gusts}"
         )
 
     def _condition(self, left: str, noise: str) -> str:
         """Return that the model explains the data, and on which condition."""
         if self.is_drifting:
             return (
-                f"explains the data only if errors drift: {left} from earlier samples, but for "
-                f"certain from none of {self.tried} missing terms"
+                f"explains the data only if errors drift: {left} and follows from earlier samples; "
+                f"no certain evidence of any of {self.tried} candidate terms"
             )
         if self.likely:
             return (
                 "explains the data only if errors of neighboring points are correlated, or larger "
-                f"at one end: otherwise, {left} what drove the test{noise}"
+                f"at one end: otherwise, {left} and follows the excitation{noise}"
             )
-        terms = f"none of {self.tried} missing terms"
+        terms = f"no evidence of any of {self.tried} candidate terms"
         if self.drift > COLORED:
             share = percent(self.drift)
             terms += f"; earlier samples predict {share} % of these residuals, which are not white"
         # What is left may be noise, or a motion that no term of the test has.
         if self.left > MUCH:
-            return f"is not contradicted by the data: {left} {terms}"
-        return f"explains the data: the residuals follow {terms}"
+            return f"is not contradicted by the data: {left}, with {terms}"
+        return f"explains the data: {terms}"
 
     def __str__(self) -> str:
         header = ["term", "factor", "± error", "explains", "p", "how to add it"]

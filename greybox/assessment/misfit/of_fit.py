@@ -9,11 +9,13 @@ from greybox.assessment.misfit.assessment import assessed_misfit
 from greybox.assessment.misfit.causes.included import CAUSES, RecordCause
 from greybox.assessment.result import Fit, require_fit
 from greybox.data.files.argument_checks import require_kind
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import AnyProblem
 from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.added_terms import Formula
 
 
+@public
 def misfit(
     fit: Fit,
     problem: AnyProblem | None = None,

@@ -10,12 +10,14 @@ from greybox.data.files.arrays import Array, ComplexArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.engine.compiled.disturbances import Effect
 from greybox.modeling.added_terms import Formula
 
 KNOTS = 11  # of a function of any shape
 
 
+@public
 @dataclass(frozen=True)
 class Wording:
     """A kind of term in words, and the code that adds it to a model.
@@ -28,6 +30,12 @@ class Wording:
         For a positive factor on the term.
     opposite, opposite_code : str
         For a negative factor, where they differ.
+
+    Examples
+    --------
+    >>> RIPPLE = gb.Wording("a ripple of {target}, {size}", "p.ripple * gb.sin(9 * u.{target})")
+    >>> RIPPLE.text
+    'a ripple of {target}, {size}'
     """
 
     text: str
@@ -114,6 +122,7 @@ def same_wording(size: float) -> None:
     """Return that a term of any size is what it was tried as."""
 
 
+@public
 @frozen
 class RecordTerm(Term):
     """A term that the model of a record may lack.
@@ -137,6 +146,14 @@ class RecordTerm(Term):
     knots : int
         Number of knots of the function of these values that may be missing, whatever its shape, or
         zero for the values themselves.
+
+    Examples
+    --------
+    >>> RIPPLE = gb.Wording("a ripple of {target}, {size}", "p.ripple * gb.sin(9 * u.{target})")
+    >>> def ripples(flight):
+    ...     for u in flight.inputs:
+    ...         yield u.term(RIPPLE, np.sin(9 * u.values), scale=1.0)  # a RecordTerm
+    >>> causes = [*gb.CAUSES, ripples]  # for gb.misfit(fit, causes=causes)
     """
 
     values: Array = field(kw_only=True)

@@ -127,6 +127,8 @@ def model_at(
 ) -> ModelAtEstimate:
     """Return a model at its values; a `Fit` may replace both, with its part for this `record`.
 
+    Without values, the parameters have their declared starts.
+
     Raises
     ------
     TypeError, ValueError
@@ -145,10 +147,11 @@ def model_at(
     fit = model if is_fit else values
     if isinstance(fit, Estimate):
         return fit.at_estimate(None if is_fit else model, inputs=inputs, part=part, record=record)
-    if not isinstance(values, Mapping):
+    declared = {} if values is None else values
+    if not isinstance(declared, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     assert isinstance(model, Model)
-    return _of_values(model, values, "record" if inputs is None else inputs)
+    return _of_values(model, declared, "record" if inputs is None else inputs)
 
 
 def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:

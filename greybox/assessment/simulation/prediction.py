@@ -19,6 +19,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import places_of
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table, titled
 from greybox.data.files.wording import counted
 from greybox.data.record import Record
@@ -43,6 +44,7 @@ def reported_shares(horizon: int) -> list[float]:
     return list({samples_ahead(share, horizon): share for share in AHEAD}.values())
 
 
+@public
 @frozen
 class Prediction(Printed):
     """Predictions of k outputs over w windows of h samples; printing it shows their quality.

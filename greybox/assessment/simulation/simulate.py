@@ -28,6 +28,7 @@ from greybox.data.files.argument_checks import as_names, require_kind
 from greybox.data.files.arrays import Array, BoolArray, all_finite
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values, array_of, selected, without
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, some
 from greybox.data.record import Record, share_samples
 from greybox.engine.compiled.sampled_data import Stretch, gapless
@@ -41,6 +42,7 @@ SHORTEST = 0.5
 DOMAINS = "keep its formulas within their domains, e.g. gb.sqrt(gb.maximum(x.level, 0))"
 
 
+@public
 def simulate(
     model: Model | Estimate,
     values: Values | Estimate | None = None,
@@ -57,9 +59,9 @@ def simulate(
     ----------
     model : Model or Fit
         A transfer function is realized as states. A `Fit` gives both its model and its estimate.
-    values : mapping of name to value, or Fit
-        Parameters that a mapping leaves out have their declared starts; ``<signal>_bias`` is the
-        constant error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
+    values : mapping of name to value, or Fit, optional
+        Parameters that it leaves out have their declared starts; ``<signal>_bias`` is the constant
+        error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch of known inputs
@@ -203,6 +205,7 @@ def _require_bounded(
     )
 
 
+@public
 def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     model: Model | Estimate,
     values: Values | Estimate | None = None,

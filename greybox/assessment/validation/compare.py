@@ -35,9 +35,11 @@ from greybox.assessment.validation.significance import (
     which_likelihood,
 )
 from greybox.data.files.argument_checks import checked_items
+from greybox.data.files.public import public
 from greybox.data.record import Record
 
 
+@public
 def compare(
     *fits: Any,
     records: Record | Sequence[Record] | None = None,

@@ -9,6 +9,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import grouped, unique
 from greybox.data.files.numbers_in_text import number, probability
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table, titled
 from greybox.data.files.wording import counted
 
@@ -61,6 +62,7 @@ class Row:
         return texts
 
 
+@public
 @frozen
 class Comparison(Printed):
     """Several fits side by side. Printing it gives the verdict, its reasons, and the table.

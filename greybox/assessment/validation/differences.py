@@ -11,6 +11,7 @@ from greybox.assessment.validation.same_data import check_fits, labels_of
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import probability, with_error
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, listed
 from greybox.modeling.model import require_known
@@ -44,6 +45,7 @@ class Difference:
         return self.p_of_all < SIGNIFICANT
 
 
+@public
 @frozen
 class Differences(Printed):
     """All parameters that two fits share. Printing it gives the verdict and the table."""
@@ -82,6 +84,7 @@ class Differences(Printed):
         return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])
 
 
+@public
 def differences(first: Fit, second: Fit, names: Sequence[str] | None = None) -> Differences:
     """Test which parameters of two fits to different data differ beyond their errors.
 

@@ -13,6 +13,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, array_of
 from greybox.data.files.numbers_in_text import number, p_text
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.wording import listed
 from greybox.modeling.model import require_known
 
@@ -21,6 +22,7 @@ from greybox.modeling.model import require_known
 DATA_SHARE = 0.5
 
 
+@public
 @frozen
 class JointTest(Printed):
     """Whether several parameters together differ from stated values; printed, it is a sentence.
@@ -54,6 +56,7 @@ class JointTest(Printed):
         )
 
 
+@public
 def joint_test(fit: Fit, names: Sequence[str], values: Values | None = None) -> JointTest:
     """Test whether several parameters of a fit together differ from stated values.
 

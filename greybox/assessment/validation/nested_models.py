@@ -23,10 +23,12 @@ from greybox.data.files.arrays import all_finite
 from greybox.data.files.named_values import Values, places_of
 from greybox.data.files.numbers_in_text import number, p_text
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.wording import listed
 from greybox.modeling.formulation.error_covariance import is_estimated
 
 
+@public
 @dataclass(frozen=True, repr=False)
 class NestedTest(Printed):
     """Whether the data need the terms that only the larger model has; printed, it is a sentence.
@@ -79,6 +81,7 @@ class NestedTest(Printed):
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 
 
+@public
 def nested_test(small: Fit, large: Fit, *, at: Values | None = None) -> NestedTest:
     """Test whether the parameters that only `large` has free are needed.
 

@@ -30,6 +30,7 @@ from greybox.data.files.named_values import Values, selected, without
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.progress import bar
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, listed
 from greybox.engine.compiled.compiled_problem import AnyProblem, require_problem
@@ -87,6 +88,7 @@ class Trial:
         ]
 
 
+@public
 @frozen
 class StepwiseSelection(Printed):
     """The terms that the data support. Printing it shows every step.
@@ -141,6 +143,7 @@ class StepwiseSelection(Printed):
         return text
 
 
+@public
 def stepwise(
     problem: AnyProblem,
     candidates: Sequence[str] | Values | Misfit,
@@ -169,6 +172,29 @@ def stepwise(
     TypeError, ValueError
         For no problem, for no candidates or some that are not its parameters, or if the structure
         without any candidate has no fit.
+
+    Examples
+    --------
+    >>> class Cart(gb.StateSpace):
+    ...     'A cart that rolls and is braked by the air, perhaps.'
+    ...
+    ...     states = outputs = ("v",)
+    ...     inputs = ("F",)
+    ...     b = gb.Parameter(1.0, bounds=(0, 10), unit="1/kg", about="acceleration per force")
+    ...     c = gb.Parameter(0.1, bounds=(-5, 5), unit="1/s", about="rolling")
+    ...     d = gb.Parameter(0.1, bounds=(-5, 5), unit="1/m", about="air")
+    ...
+    ...     def derivative(self, x, u, p):
+    ...         return (p.b * u.F - p.c * x.v - p.d * abs(x.v) * x.v,)
+    ...
+    ...     def output(self, x, u, p):
+    ...         return (x.v,)
+    >>> random = np.random.default_rng(0)
+    >>> force = gb.Record(np.arange(200) / 20, {"F": np.repeat(random.normal(size=20), 10)})
+    >>> v = gb.simulate(Cart(), {"c": 0.5, "d": 0}, force)["v"] + 0.01 * random.normal(size=200)
+    >>> record = gb.Record(force.time, {"F": force["F"], "v": v})
+    >>> gb.stepwise(gb.Problem(Cart(), record), ["c", "d"], starts=1).terms
+    ('c',)
     """
     require_problem(problem)
     if isinstance(candidates, Misfit):

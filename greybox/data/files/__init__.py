@@ -10,6 +10,7 @@ Begin with `arrays` and `argument_checks`, which nearly all other files use.
 | `frozen_values` | frozen dataclasses that hold arrays |
 | `grouping` | items in groups that are alike, and every item once |
 | `argument_checks` | checks of arguments, with what to give instead |
+| `public` | short signatures, and the closest name for an unknown argument |
 | `spelling` | the known name that a misspelled one resembles |
 | `numbers_in_text` | rounded numbers as people read them, with errors, in percent |
 | `wording` | names and counts as words of a sentence |

@@ -32,7 +32,8 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
 
 def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
     """Return one item or several as a tuple, each checked by `require_kind`."""
-    is_single = isinstance(items, str) or not isinstance(items, Iterable)
+    # A record yields the names of its signals.
+    is_single = isinstance(items, kinds | str) or not isinstance(items, Iterable)
     listed = (items,) if is_single else tuple(items)
     for item in listed:
         require_kind(what, item, kinds, cure)

@@ -2,14 +2,24 @@
 
 from collections.abc import Container, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
 from greybox.data.files.arrays import AnyArray, IntArray
+from greybox.data.files.spelling import alternatives
+
+Value = TypeVar("Value")
 
 Values = Mapping[str, float]  # of parameters or signals
 NOTHING: Values = MappingProxyType({})  # as a default
+
+
+class ByName(dict[str, Value]):
+    """Values by name, which answer an unknown name with the closest one."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise KeyError(f"{name!r} is none of the names {alternatives(name, self)}")
 
 
 def attributes(value: Any, *names: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment
 from greybox.data.files.argument_checks import as_names
 from greybox.data.files.arrays import Array, Interval
+from greybox.data.files.public import public
 from greybox.data.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.data.logs.sine_detection import sines_and_sweeps
 from greybox.data.record import Record, Recording
@@ -51,6 +52,7 @@ class _Rest(NamedTuple):
     last_level: float
 
 
+@public
 def find_manoeuvres(
     data: Recording | Record, signal: str | Sequence[str] = ()
 ) -> tuple[Segment, ...]:

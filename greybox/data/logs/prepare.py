@@ -19,6 +19,7 @@ from greybox.data.files.argument_checks import as_names, is_finite_number, requi
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.intersample import HELD, intersample
 from greybox.data.logs.ardupilot.truncated_angles import untruncated
@@ -55,6 +56,7 @@ class Derived:
     unit: str
 
 
+@public
 def horizontal_velocity(
     north: str = "XKF1.VN",
     east: str = "XKF1.VE",
@@ -78,6 +80,7 @@ def horizontal_velocity(
     )
 
 
+@public
 def prepare(
     recording: Recording | Record,
     signals: Mapping[str, str | Derived],

@@ -14,6 +14,7 @@ from greybox.data.excited_segment import Segment, Segments
 from greybox.data.files.argument_checks import as_names
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.data.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.data.logs.flight_controllers import AXES, axis_of
@@ -41,6 +42,7 @@ EDGE = 0.1
 STICK_TRAVEL = {"manual_control_setpoint": 2.0}  # of PX4; that of others is 1000, in µs
 
 
+@public
 def find_segments(
     data: Recording | Record,
     message: str = "",

@@ -12,6 +12,7 @@ from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array
 from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
@@ -71,6 +72,7 @@ class Finding:
 Findings = Iterator[Finding]
 
 
+@public
 @dataclass(frozen=True, repr=False)
 class Quality(Printed):
     """The verdict on a test: findings, most serious first."""
@@ -98,6 +100,7 @@ class Quality(Printed):
         return "\n".join(lines or ["no problems found"])
 
 
+@public
 def check(
     record: Record,
     response: FrequencyResponse | None = None,

@@ -11,6 +11,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.frequency_response import FrequencyResponse
 
@@ -64,6 +65,7 @@ class FrequencyPoint:
     unexplained: float = math.nan
 
 
+@public
 @frozen
 class FiniteFrequency(Printed):
     """The measured response, the point of each test, and the tests left out with the reason."""

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -36,6 +37,7 @@ EXCITED = 0.03
 BESIDE = (0.25, 0.25, 0.0, 0.25, 0.25)
 
 
+@public
 def periodic_response(
     records: Record | Sequence[Record],
     period: float,

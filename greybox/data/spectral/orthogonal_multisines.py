@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -18,6 +19,7 @@ from greybox.data.spectral.estimated_points import measured_in
 from greybox.data.spectral.multisine_lines import EXCITED, period_spectra
 
 
+@public
 def response_matrix(
     records: Record | Sequence[Record],
     period: float,

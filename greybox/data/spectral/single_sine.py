@@ -11,6 +11,7 @@ from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment, checked_segments
 from greybox.data.files.arrays import Array, ComplexArray, all_finite, sum_of_squares
 from greybox.data.files.grouping import unique
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, require_time
@@ -45,6 +46,7 @@ class SinePoint(NamedTuple):
     control_noise: float
 
 
+@public
 def finite_frequency(
     record: Record,
     segments: Iterable[Segment],

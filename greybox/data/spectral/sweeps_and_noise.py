@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import finite_numbers
 from greybox.data.files.argument_checks import require_whole
 from greybox.data.files.arrays import Array, ComplexArray, Interval
+from greybox.data.files.public import public
 from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, hold_of_response, response_of_hold
@@ -25,6 +26,7 @@ LOWEST = 6
 FOR_MANOEUVRES = "gb.spectral.transient_spectrum, which needs only one period"
 
 
+@public
 def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     records: Record | Sequence[Record],
     input: str = "u",

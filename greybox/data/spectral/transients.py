@@ -9,6 +9,7 @@ import numpy as np
 from greybox.data.files.argument_checks import as_names
 from greybox.data.files.arrays import Array, ComplexArray, Interval
 from greybox.data.files.named_values import selected
+from greybox.data.files.public import public
 from greybox.data.frequency_band import require_band
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
@@ -20,6 +21,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 HIGHEST = 0.4
 
 
+@public
 def transient_spectrum(
     record: Record,
     inputs: str | Sequence[str],

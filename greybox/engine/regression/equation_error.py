@@ -18,6 +18,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table, titled
 from greybox.data.record import Record, require_time, unrounded
 from greybox.data.spectral.uniform_stretches import check_uniform
@@ -49,6 +50,7 @@ class UsedEquation:
     residual: float
 
 
+@public
 @frozen
 class EquationErrorEstimate(Printed):
     """The result of `equation_error`; printing it shows estimates and equations.
@@ -114,6 +116,7 @@ class EquationErrorEstimate(Printed):
         return titled(f"{self.name}: equation error", lines)
 
 
+@public
 def equation_error(
     model: Model,
     record: Record,

@@ -1,8 +1,8 @@
-"""Rational functions from a measured response by linear least squares, (3.17).
+"""Fit of a rational function to a measured response by linear least squares, (3.17).
 
-Multiplied by its denominator, (2.13) = P is a complex equation at every frequency that is linear in
-the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start. The method
-minimizes |a(jω)| times the error, not the error itself, which favors high frequencies.
+Multiplied by its denominator, the equation (2.13) = P is linear in the unknown coefficients at
+every frequency: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. Its solution needs no start. The method
+minimizes |a(jω)| times the error, not the error itself, and so favors high frequencies.
 
 Sources: Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959) 37-43 (who sets a0 = 1
 where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfer function synthesis
@@ -18,6 +18,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
@@ -25,8 +26,8 @@ from greybox.engine.regression.poles_and_zeros import NearPair, near_pairs, root
 from greybox.modeling.factored_form import factored, upper_half
 from greybox.modeling.formulation.frequency_criteria import RelativeError, evaluate
 
-# Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,
-# with a margin for sums.
+# Singular values below this share of the largest one are rounding errors, which are 1e-16 in the
+# columns; there is a margin for sums.
 RANK = 1e-12
 
 
@@ -37,16 +38,18 @@ class RationalFit(Printed):
     Attributes
     ----------
     numerator, denominator : (m + 1,), (n + 1,) arrays
-        Coefficients, highest power of s first; the denominator is monic.
+        Coefficients, highest power of s first. That of the denominator's highest power is one.
     integrators : int
-        Number of last coefficients of the denominator that are 0.
+        Number of poles at zero: as many last coefficients of the denominator are 0.
     data : FrequencyResponse
     iterations : int
         Number of reweightings.
     cost : float
-        Sum of relative errors (4.26), which was not minimized; NaN if the data contain a zero.
+        Sum of relative errors (4.26), which is not what was minimized; NaN if the data contain a
+        zero.
     condition : float
-        Condition number of the equations with normalized columns; infinite if one is superfluous.
+        Condition number of the equations with normalized columns; infinite if the columns are
+        linearly dependent.
     """
 
     numerator: Array
@@ -84,17 +87,17 @@ class RationalFit(Printed):
 
     @property
     def near_pairs(self) -> tuple[NearPair, ...]:
-        """Poles and zeros closer than a tenth of their size, stable or not, the closest first."""
+        """Poles and zeros closer than a tenth of their magnitude, stable or not, closest first."""
         return near_pairs(self.zeros, self.poles)
 
     @property
     def determined(self) -> bool:
-        """False if the data do not determine the coefficients: the orders are too high."""
+        """Whether the data determine the coefficients; if not, the orders are too high."""
         return self.condition < 1 / RANK
 
     @property
     def coefficients(self) -> Values:
-        """Coefficients by the names of `Polynomial(n, m, integrator)`: a start for its fit."""
+        """Coefficients by the names of `Polynomial(n, m, integrator)`, as a start for its fit."""
         return coefficients(self.numerator, self.denominator, self.integrators)
 
     def response(self, omega: ArrayLike) -> FrequencyResponse:
@@ -115,10 +118,10 @@ class RationalFit(Printed):
             for root in upper_half(roots):
                 damping = number(-root.real / abs(root), 3) if root else "-"
                 rows.append((kind, root_text(root), number(abs(root), 4), damping))
+        with_integrator = ", with integrator" if self.integrators else ""
         lines = [
-            f"linear least squares (3.17), n = {self.n}, m = "
-            f"{self.m}{', with integrator' if self.integrators else ''}, {len(self.data)} "
-            f"frequencies, {how}",
+            f"linear least squares (3.17), n = {self.n}, m = {self.m}{with_integrator}, "
+            f"{len(self.data)} frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
             f"sum of relative errors {number(self.cost)}",
@@ -129,6 +132,7 @@ class RationalFit(Printed):
         return "\n".join(lines)
 
 
+@public
 def levy(
     data: FrequencyResponse,
     n: int,
@@ -140,10 +144,10 @@ def levy(
 ) -> RationalFit:
     """Fit (2.13) of chosen orders to `data` by linear least squares, (3.17), as the paper does.
 
-    Real and imaginary part of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at the n_ω frequencies are 2 n_ω
+    The real and imaginary parts of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at n_ω frequencies are 2 n_ω
     equations. Their columns are normalized, which changes rounding errors but not the solution. If
-    the equations are rank deficient, the solution of least norm (of the normalized unknowns) is
-    taken; see `determined`. The result is a start for the model:
+    the equations are rank deficient, the result is the solution with the least norm of the
+    normalized unknowns; see `determined`. It is a start for the model:
     ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.solve.Sobol(100)])``.
 
     Parameters
@@ -154,20 +158,20 @@ def levy(
         Orders of denominator and numerator, 0 <= m < n. `n` counts the integrator: (3.20) is n=4,
         m=1 with integrator.
     integrator : bool or int
-        Number of factors s of the denominator; a0 and so on are then not estimated.
+        Number of factors s of the denominator; a0 and so on are then zero.
     weight : (n_ω,) array, optional
-        Factors of the equations, above 0, e.g. ``1 / abs(data.response)``. Default: all one, as in
-        the paper.
+        Factors of the equations, above 0, such as ``1 / abs(data.response)``. By default all are
+        one, as in the paper.
     iterations : int
-        How often to solve again with the equations divided by |a(jω)| of the previous solution
-        (Sanathanan and Koerner 1963): the equation error then approaches the error of the response.
+        How often the equations are divided by |a(jω)| of the previous solution and solved again
+        (Sanathanan and Koerner 1963). The equation error then approaches the error of the response.
 
     Raises
     ------
     ValueError
-        For orders that are not whole numbers with 0 <= m < n, or with as many unknowns as equations
-        or more (the paper's 2 n_ω > n + m + 1; one unknown less with integrator); for weights or
-        iterations out of range.
+        If the orders are not whole numbers with 0 <= m < n, if there are not more equations than
+        unknowns (2 n_ω > n + m + 1 in the paper; one unknown less with an integrator), or if
+        weights or iterations are out of range.
     """
     _check_orders(data, n, m, integrator)
     weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
@@ -203,15 +207,16 @@ def ratio(
     return np.polyval(numerator, 1j * omega) / np.polyval(denominator, 1j * omega)
 
 
+@public
 def order_path(
     data: FrequencyResponse, n: int, m: int, integrator: bool = False
 ) -> tuple[RationalFit, ...]:
     """Lower the orders from `n` and `m` until no stable pole and zero obviously cancel (section 3).
 
-    If a stable zero and a stable pole are `near_pairs`, or the equations are rank deficient, both
-    orders are lowered by one and fitted again, down to m = 0. The paper gives no number for
-    "obviously". On its tables this rule does not lead to its (4, 1): begin with several orders, or
-    use `gb.identification.select_orders`.
+    While a stable zero is close to a stable pole (`near_pairs`), or the equations are rank
+    deficient, both orders are lowered by one, down to m = 0, and the function is fitted again. The
+    paper has no number for "obviously". On its tables this rule does not lead to its orders (4, 1):
+    begin with several orders, or use `gb.identification.select_orders`.
 
     Parameters
     ----------
@@ -250,10 +255,11 @@ def reweighted(
     weight: Array,
     iterations: int,
 ) -> tuple[Array, Array, Array]:
-    """Return numerators (..., m + 1), denominators (..., n + 1) and the last normalized equations.
+    """Return numerators (..., m + 1), denominators (..., n + 1) and normalized equations.
 
-    `response` and `weight` (..., n_ω) are of one problem or of several, which are solved together;
-    `orders` are n, m and the number of integrators. See `levy` for the other arguments.
+    The equations are those of the last iteration. `response` and `weight` (..., n_ω) belong to one
+    problem, or to several that are solved together; `orders` are n, m and the number of
+    integrators. See `levy` for the other arguments.
     """
     n, m, integrators = orders
     powers = (1j * omega[:, None]) ** np.arange(n, -1, -1)
@@ -264,9 +270,10 @@ def reweighted(
     zeros = np.zeros((*response.shape[:-1], integrators))
 
     def solved(weight: Array) -> tuple[Array, Array, Array]:
+        """Return numerators, denominators and normalized equations for weights (..., n_ω)."""
         factor = weight[..., None]
         matrix = real_and_imaginary(factor * equations, -2)
-        # Powers of ω differ by decades: without scaling, the rank would depend on the units.
+        # Powers of ω differ by decades. Without scaling, the rank would depend on the unit of ω.
         scale = positive_or_one(np.linalg.norm(matrix, axis=-2, keepdims=True))
         normalized = matrix / scale
         inverse = np.linalg.pinv(normalized, RANK) / scale.mT
@@ -274,14 +281,17 @@ def reweighted(
         numerator, lower = np.split(solution[..., 0], [m + 1], axis=-1)
         return numerator, np.concatenate([highest, lower, zeros], axis=-1), normalized
 
-    answer = solved(weight)
-    # Divided by |a|, the equation error is the error of the response where a no longer changes.
+    numerator, denominator, normalized = solved(weight)
+    # Once the denominator no longer changes, the equation error divided by |a| is the error of the
+    # response.
     for _ in range(iterations):
-        answer = solved(weight / np.abs(answer[1] @ powers.T))
-    return answer
+        size = np.abs(denominator @ powers.T)
+        numerator, denominator, normalized = solved(weight / size)
+    return numerator, denominator, normalized
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:
+    """Raise ValueError for orders that do not suit the equations or the data."""
     require_whole("n", n, 1)
     require_whole("m", m, 0)
     if m >= n:

@@ -3,11 +3,13 @@
 import math
 
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import AnyProblem
 from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.solve.objective import objective
 
 
+@public
 def cost(problem: AnyProblem, values: Values, method: Transcription | None = None) -> float:
     """Return the cost of a problem at parameter `values` by name.
 

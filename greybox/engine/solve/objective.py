@@ -16,6 +16,7 @@ import numpy as np
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.files.rebuilt import Rebuilt
 from greybox.engine.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
@@ -45,6 +46,7 @@ Point = Array | Sequence[float] | Values
 """Free parameters (p,) in the order of `names`, several of them (r, p), or values by name."""
 
 
+@public
 def objective(
     problem: AnyProblem,
     at: Values | None = None,
@@ -131,6 +133,7 @@ def objective_near(nlp: CompiledProblem, x: Array) -> "Objective":
     return Objective(nlp, x, nodes=nodes)
 
 
+@public
 @frozen
 class Objective(Rebuilt):
     """The cost of a problem at any values of its free parameters, with its derivatives.
@@ -153,6 +156,13 @@ class Objective(Rebuilt):
         States of each part at the beginning of every segment, with which a point begins.
     is_scaled : bool
         Whether vectors are scaled variables.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> objective = gb.objective(pitch_hover.problem())
+    >>> objective.gradient(objective.start).shape
+    (4,)
     """
 
     nlp: CompiledProblem

@@ -16,6 +16,7 @@ import numpy as np
 from greybox.data.files.argument_checks import require_kind
 from greybox.data.files.arrays import Array, all_finite
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.solve.constraints import Limits, limits_of
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
@@ -36,6 +37,7 @@ NO_COST = "no finite cost at the end"
 NEGLIGIBLE = 5e-4
 
 
+@public
 @frozen
 class Solution:
     """Where a solver ended.
@@ -47,6 +49,11 @@ class Solution:
     status : str
         What the solver says of its end.
     iterations : int
+
+    Examples
+    --------
+    >>> gb.Solution(np.array([1.0, 2.0]), "converged", 12).iterations
+    12
     """
 
     estimate: Array
@@ -64,6 +71,23 @@ class Solver(SearchMethod):
     ----------
     takes_constraints : bool
         Whether it heeds `Objective.constraints`. Others refuse problems that have constraints.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from scipy.optimize import minimize
+    >>> from greybox.problems import pitch_hover
+    >>> @dataclass(frozen=True)
+    ... class QuasiNewton(gb.Solver):
+    ...     'L-BFGS-B of SciPy.'
+    ...
+    ...     def solve(self, objective, start):
+    ...         bounds = [*zip(objective.lower, objective.upper)]
+    ...         cost = objective.value_and_gradient
+    ...         end = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    ...         return gb.Solution(end.x, end.message, end.nit)
+    >>> len(gb.fit(pitch_hover.problem(), starts=3, search=QuasiNewton()).runs)
+    3
     """
 
     takes_constraints: ClassVar[bool] = False

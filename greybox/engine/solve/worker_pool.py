@@ -15,12 +15,14 @@ from contextlib import suppress
 from typing import Any
 
 from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.public import public
 from greybox.engine.solve.interruption import (
     ENDING,
 )
 from greybox.engine.solve.lost_workers import ExecutorLostError, WorkerLostError
 
 
+@public
 class WorkerPool(Executor):
     """Worker processes on this machine as an executor for `fit`; killed ones are replaced.
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formulation.criterion import AnyCriterion
@@ -38,6 +39,14 @@ class Criterion(AnyCriterion):
         Whether the weights of all points are those of errors of one relative size.
     locator : Criterion or None
         Criterion to minimize first, if this one has local minima.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> criteria = [gb.RelativeError(), gb.MagnitudePhase()]
+    >>> problems = [pitch_hover.problem().with_(criterion=c) for c in criteria]
+    >>> [gb.fit(problem, starts=5).criterion for problem in problems]
+    ['relative-error', 'magnitude-phase']
     """
 
     condition = "errors isotropic in the complex plane and of one relative size"
@@ -184,6 +193,7 @@ class _Relative(Criterion):
         return relative_score(noise, points, self.power, self.normalized).gain_bias
 
 
+@public
 @frozen
 class RelativeError(_Relative):
     """Sum of relative errors, Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
@@ -196,6 +206,12 @@ class RelativeError(_Relative):
     relative size, see `relative_score`. For small errors, Cov = (4/π) s² (JᵀJ)⁻¹, with s the
     standard deviation of one component. The minimum of n points and p parameters lies below the
     cost at the truth by p s √(π/2) / π, so that the mean |e| is too small; s is corrected for this.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> gb.fit(pitch_hover.problem().with_(criterion=gb.RelativeError()), starts=5).converged
+    True
     """
 
     rule = "sum of relative errors"
@@ -228,6 +244,7 @@ class RelativeError(_Relative):
         return np.where(k < 1e-4, math.pi / 4 * k, (ellipe(k**2) - K_term) / k)
 
 
+@public
 @frozen
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
@@ -237,6 +254,13 @@ class SquaredRelativeError(_Relative):
     measured magnitude, points that noise makes small have too much weight: with noise of 20 % in
     each component, the gain varies one and a half times as much as that of `RelativeLikelihood`,
     which has no such bias.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> squared = pitch_hover.problem().with_(criterion=gb.SquaredRelativeError())
+    >>> gb.fit(squared, starts=5).converged
+    True
     """
 
     rule = "sum of squared relative errors"
@@ -247,6 +271,7 @@ class SquaredRelativeError(_Relative):
         return total(squared_magnitude(self.errors(model, data)))
 
 
+@public
 @frozen
 class RelativeLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of one unknown relative variance.
@@ -264,6 +289,13 @@ class RelativeLikelihood(Criterion):
 
     Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ²
     eliminated.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> likely = pitch_hover.problem().with_(criterion=gb.RelativeLikelihood())
+    >>> gb.fit(likely, starts=5).converged
+    True
     """
 
     rule = "maximum likelihood, one unknown relative variance"
@@ -293,6 +325,7 @@ class RelativeLikelihood(Criterion):
         return bread, np.full(2 * len(data), correction**2 * bread)
 
 
+@public
 @frozen
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
@@ -307,6 +340,12 @@ class MagnitudePhase(Criterion):
     errors through the weights. These errors have the variances of the data; or else relative
     variances in proportion to (1 - γ²)/γ², as random errors of a spectral estimate (Bendat and
     Piersol, Random Data, 4th ed., section 9.2), or one relative size, both scaled by the residuals.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> gb.fit(pitch_hover.problem().with_(criterion=gb.MagnitudePhase()), starts=5).converged
+    True
     """
 
     rule = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
@@ -375,6 +414,7 @@ class MagnitudePhase(Criterion):
         return common * _DB_PER_NEPER, np.degrees(common * math.sqrt(0.01745))
 
 
+@public
 @frozen
 class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².

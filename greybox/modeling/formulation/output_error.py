@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.normalization import normalize
+from greybox.data.files.public import public
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.statistics.error_distribution import ErrorDistribution
@@ -16,6 +17,7 @@ SPECTRUM_CONDITION = (
 )
 
 
+@public
 @frozen
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs; the model is simulated.

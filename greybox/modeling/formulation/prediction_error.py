@@ -11,6 +11,7 @@ from greybox.data.files.argument_checks import as_names
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import attributes
 from greybox.data.files.normalization import normalize
+from greybox.data.files.public import public
 from greybox.data.record import Record
 from greybox.modeling.colored_disturbance import ColoredDisturbance, driven_by, undisturbed
 from greybox.modeling.disturbance import Disturbance, stated_disturbance
@@ -22,6 +23,7 @@ from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 
 
+@public
 @frozen
 class PredictionError(TimeCriterion):
     """Maximum likelihood with process noise (wind): the model predicts one sample ahead.

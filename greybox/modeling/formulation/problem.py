@@ -14,6 +14,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record
@@ -43,6 +44,7 @@ from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
 
 
+@public
 @frozen
 class Problem(Addable):
     """One model, one set of data, one criterion.

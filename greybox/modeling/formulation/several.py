@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.data.files.argument_checks import as_names
 from greybox.data.files.arrays import Interval
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -25,6 +26,7 @@ Responses = (
 """Responses in a list, in a matrix, or by pair."""
 
 
+@public
 def several(
     model: Model,
     data: Sequence[Record | TransientSpectrum] | Responses,

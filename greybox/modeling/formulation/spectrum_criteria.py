@@ -1,6 +1,7 @@
 """Criteria for the Fourier integrals of a manoeuvre: `EquationError` and `OutputError`."""
 
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.disturbance import gust_time
@@ -12,6 +13,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 
 
+@public
 @frozen
 class EquationError(TimeCriterion):
     """Maximum likelihood with all errors in the differential equation, such as turbulence.
@@ -33,6 +35,30 @@ class EquationError(TimeCriterion):
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood:
     Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with one denominator for
     plant and noise.
+
+    Examples
+    --------
+    >>> class Cart(gb.StateSpace):
+    ...     'A cart that rolls.'
+    ...
+    ...     states = outputs = ("v",)
+    ...     inputs = ("F",)
+    ...     b = gb.Parameter(1.0, bounds=(0, 10), unit="1/kg", about="acceleration per force")
+    ...     c = gb.Parameter(0.5, bounds=(0, 5), unit="1/s", about="rolling")
+    ...
+    ...     def derivative(self, x, u, p):
+    ...         return (p.b * u.F - p.c * x.v,)
+    ...
+    ...     def output(self, x, u, p):
+    ...         return (x.v,)
+    >>> time = np.arange(400) / 20
+    >>> record = gb.Record(time, {"F": np.sin(0.1 * time**2)})
+    >>> v = gb.simulate(Cart(), record=record)["v"]
+    >>> record = gb.Record(time, {"F": record["F"], "v": v})
+    >>> spectrum = gb.spectral.transient_spectrum(record, "F", "v", (0.5, 4.0))
+    >>> fit = gb.fit(gb.Problem(Cart(), spectrum, criterion=gb.EquationError()), starts=1)
+    >>> round(fit.estimate["c"], 1)
+    0.5
     """
 
     gusts: bool = False

@@ -14,6 +14,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.modeling.parameter import Parameters
 
@@ -22,7 +23,15 @@ MOST = 2**20
 
 
 class Starts(ABC):
-    """A rule for the starts of a search; `seed` is None if it draws no random numbers."""
+    """A rule for the starts of a search; `seed` is None if it draws no random numbers.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> sobol = gb.solve.Sobol(5, seed=1)
+    >>> isinstance(sobol, gb.Starts), gb.fit(pitch_hover.problem(), sobol).converged
+    (True, True)
+    """
 
     seed: int | None = None
 
@@ -34,6 +43,7 @@ class Starts(ABC):
     def __str__(self) -> str: ...
 
 
+@public
 @dataclass(frozen=True)
 class Sobol(Starts):
     """Scrambled Sobol points, spread over the boxes of the parameters.
@@ -86,6 +96,7 @@ def sobol_shares(number: int, dimensions: int, seed: int) -> Array:
     return sequence.random_base2((number - 1).bit_length())[:number]
 
 
+@public
 @dataclass(frozen=True)
 class Listed(Starts):
     """Starts as mappings of name to value; other parameters begin at their declared start."""

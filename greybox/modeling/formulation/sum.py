@@ -11,6 +11,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line, preformatted
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, numbered_where_alike
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
@@ -48,6 +49,7 @@ class Addable:
         return preformatted(f"{self!r}\n\n{parameter_table(self.parameters)}")
 
 
+@public
 @frozen
 class Sum(Addable, Generic[Part]):
     """Several problems solved together: costs add, parameters with the same name are shared.

@@ -8,6 +8,7 @@ from greybox.data.files.argument_checks import as_names, is_finite_number
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.normalization import normalize
+from greybox.data.files.public import public
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.colored_disturbance import undisturbed
@@ -25,6 +26,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.statistics.error_distribution import ErrorDistribution, NormalErrors
 
 
+@public
 @frozen
 class TimeCriterion(AnyCriterion):
     """The likelihood of normal errors of the outputs, which all criteria in time share.
@@ -62,6 +64,11 @@ class TimeCriterion(AnyCriterion):
         Whether the residuals of a sample correct the states, by the gains of `gains`.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
+
+    Examples
+    --------
+    >>> [isinstance(c, gb.TimeCriterion) for c in (gb.OutputError(), gb.RelativeError())]
+    [True, False]
     """
 
     noise: Literal["diagonal", "full"] | Values | ErrorCovariance = "diagonal"

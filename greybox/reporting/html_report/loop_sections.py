@@ -1,4 +1,4 @@
-"""What the page shows of loops: stability margins, and gains beside today's."""
+"""The sections of the page about loops: stability margins, and proposed gains."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -25,6 +25,7 @@ def margin_section(loops: Sequence[Margins]) -> Iterator[tuple[str, Child]]:
 
 
 def _margin_table(loop: Margins) -> Child:
+    """Return the table of the margins of a loop; an asterisk marks extrapolated ones."""
     interval = "interval" if math.isnan(loop.level) else f"{100 * loop.level:g} % interval"
     rows = []
     for margin in loop.margins:
@@ -63,8 +64,8 @@ def gain_section(safe: SafeGains | None) -> Iterator[tuple[str, Child]]:
         header = ["gain", "today", "step 1", "step 2", "proposed"]
         steps = []
         for name, today in safe.today.items():
-            values = [number_cell(value, 4) for value in (today, *(s[name] for s in safe.steps))]
-            steps.append([Cell(name), *values])
+            values = [today, *(step[name] for step in safe.steps)]
+            steps.append([Cell(name), *(number_cell(value, 4) for value in values)])
         content += [table(header, steps), tag("p", f"Fly the steps one after the other. {PROMISE}")]
     content += [tag("p", note, class_="soft") for note in safe.notes]
     content.append(figure_grid([gains_figure(safe), *comparison_figures(safe)]))
@@ -72,4 +73,5 @@ def gain_section(safe: SafeGains | None) -> Iterator[tuple[str, Child]]:
 
 
 def _capital(sentence: str) -> str:
+    """Return a sentence with a capital letter."""
     return sentence[:1].upper() + sentence[1:]

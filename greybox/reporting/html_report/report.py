@@ -20,6 +20,7 @@ from greybox.assessment.validation.same_data import labels_of
 from greybox.data.files.argument_checks import checked_items, require_kind
 from greybox.data.files.grouping import grouped
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import write_text
 from greybox.data.files.version import __version__
 from greybox.data.files.wording import counted
@@ -39,6 +40,7 @@ from greybox.workflows.study.study import Study
 DETAILED = 12  # members of a study whose fits are loaded and shown: as many as one looks through
 
 
+@public
 def report(
     fits: Fit | Study | Sequence[Fit | Study],
     path: str | Path,

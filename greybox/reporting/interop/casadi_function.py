@@ -5,9 +5,11 @@ from typing import Any
 import casadi as ca
 
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.reporting.interop.linear_systems import given_model
 
 
+@public
 def to_casadi(
     thing: Any,
     values: Values | None = None,

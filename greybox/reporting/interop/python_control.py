@@ -10,6 +10,7 @@ from greybox.data.files.argument_checks import as_names
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values
 from greybox.data.files.optional_package import required
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals
@@ -19,6 +20,7 @@ from greybox.workflows.experiment.loop_numbers import loop_frequencies
 from greybox.workflows.experiment.margin_values import Margins
 
 
+@public
 def to_control(
     thing: Any,
     values: Values | None = None,
@@ -111,6 +113,7 @@ def to_control(
     return control.StateSpace(*matrices, states=x, inputs=u, outputs=y, **name)
 
 
+@public
 def from_control(
     system: Any,
     *,

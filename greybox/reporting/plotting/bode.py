@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.reporting.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
@@ -27,6 +28,7 @@ DB_PER_NEPER = 20 / np.log(10)
 MOST_PAIRS = 6
 
 
+@public
 def bode(
     *fits: Fit | FrequencyResponse,
     labels: Sequence[str] = (),
@@ -36,16 +38,17 @@ def bode(
 ) -> AxesArray:
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
 
-    Below them are the coherence, where it is known, and the errors of fits: measured less fitted
-    values in dB and degrees. More than six input-output pairs have a row of panels each, unless
-    `axes` are given.
+    Below them are the coherence, if it is known, and the errors of fits: measured less fitted
+    values in dB and degrees. If there are more than six input-output pairs, each has a row of
+    panels, unless `axes` are given.
 
-    Curves are unwrapped along omega; the first curve of each input-output pair begins within
-    (-180°, 180°]. Measured phases are moved by multiples of 360° next to their curve.
+    Phases of curves are unwrapped along omega. The first curve of each input-output pair begins
+    within (-180°, 180°]. Measured phases are shifted by multiples of 360°, so that they lie next to
+    their curve.
 
     Error bars show one standard deviation of one component of the data, sqrt(variance / 2), in
-    magnitude (20 dB at most) and phase. Shaded is the confidence band of a fit
-    (`Fit.response_band`), in the panels of errors around zero.
+    magnitude (20 dB at most) and in phase. The confidence band of a fit (`Fit.response_band`) is
+    shaded; in the panels of errors it lies around zero.
 
     Parameters
     ----------
@@ -55,8 +58,8 @@ def bode(
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : array-like of Axes, optional
-        For magnitude and phase, then for the coherence, if it is known, and the errors of fits; two
-        or more. By default a new figure is made.
+        Two or more: for magnitude and phase, then for the coherence, if it is known, and the errors
+        of fits. By default a new figure is made.
     level : float or None
         Confidence level of the bands; None draws none.
     hz : bool
@@ -78,9 +81,11 @@ def bode(
             return draw(figures, hz=hz)
         rows = [replace(figure, subject="") for figure in figures]
         return draw(rows, columns=len(rows[0].panels), title=title(fits), hz=hz)
-    # With two axes a user wants magnitude and phase, whatever else there is to draw.
-    (figure,) = bode_figures(fits, labels, level, sys.maxsize)
-    return draw([replace(figure, panels=figure.panels[: flat_axes(axes).size])], axes, hz=hz)
+    # The axes take the first panels: two axes are for magnitude and phase, whatever else could be
+    # drawn.
+    [figure] = bode_figures(fits, labels, level, sys.maxsize)
+    panels = figure.panels[: flat_axes(axes).size]
+    return draw([replace(figure, panels=panels)], axes, hz=hz)
 
 
 def bode_figures(
@@ -89,10 +94,15 @@ def bode_figures(
     level: float | None = 0.95,
     most: int = MOST_PAIRS,
 ) -> list[Figure]:
-    """Return the Bode diagram with the errors of fits; one for each of more pairs than `most`."""
+    """Return the Bode diagram with the errors of fits.
+
+    More than `most` input-output pairs have a diagram each.
+    """
     responses = drawn_responses(fits, labels, level)
-    pairs = by_pair(responses)
-    return [_figure(fits, group, level) for group in (pairs if len(pairs) > most else [responses])]
+    groups = by_pair(responses)
+    if len(groups) <= most:
+        groups = [responses]
+    return [_figure(fits, group, level) for group in groups]
 
 
 def _figure(
@@ -100,18 +110,20 @@ def _figure(
     responses: Sequence[DrawnResponse],
     level: float | None,
 ) -> Figure:
-    curves: tuple[list[Series], list[Series]] = ([], [])  # of magnitude and of phase
+    """Return the diagram of some of the responses."""
+    # Series of magnitude, and series of phase.
+    curves: tuple[list[Series], list[Series]] = ([], [])
     for drawn, degrees in zip(responses, phases(responses), strict=True):
         omega = drawn.response.omega
         values = np.array([drawn.response.decibels, degrees])
         for k, ends in enumerate(error_bars(drawn.response, values)):
-            # Bands first: they are drawn below all curves and points.
+            # Bands come first, so that all curves and points are drawn above them.
             if drawn.band is not None:
                 curves[k].insert(0, _band(drawn, k, values[k]))
             curves[k].append(drawn.series(omega, values[k], **ends))
 
     name = ratio(responses)
-    # Steps of an axis in degrees: multiples of 45 and 90 are where margins are read.
+    # Margins are read at multiples of 45 and 90 degrees, where the axis of phase has its ticks.
     panels = [
         Panel(f"Magnitude of {name}, dB", curves[0]),
         Panel(f"Phase of {name}, °", curves[1], steps=ANGLES),
@@ -138,7 +150,11 @@ def _figure(
 def _error_panels(
     fits: Sequence[Fit | FrequencyResponse], responses: Sequence[DrawnResponse]
 ) -> list[Panel]:
-    """Return the panels of measured less fitted values, with the bands of the fits around zero."""
+    """Return the panels of measured less fitted values, with the bands of the fits around zero.
+
+    There are none if no fit has converged.
+    """
+    # Series of magnitude, and series of phase.
     points: tuple[list[Series], list[Series]] = ([], [])
     fitted = [item for item in fits if isinstance(item, Fit)]
     for number, fit in enumerate(fitted):
@@ -146,17 +162,20 @@ def _error_panels(
             with np.errstate(all="ignore"):
                 error = part.data.response / part.response
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
-            data = next((drawn for drawn in same_data if drawn.is_measured), None)
-            if data is None:  # another pair
+            measured = [drawn for drawn in same_data if drawn.is_measured]
+            # Without them, the data belong to the diagram of another pair.
+            if not measured:
                 continue
-            # A curve that lies on another one is not drawn: then take any curve of the fit.
+            data = measured[0]
+            # A curve that lies on another one is not drawn. The color is then that of any curve of
+            # the fit.
             curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
             if len(fitted) > 1 and curves:
                 data = replace(data, color=curves[0].color)
             values = np.array([decibels_of(error), np.degrees(np.angle(error))])
             for k, ends in enumerate(error_bars(part.data, values)):
                 series = data.series(part.data.omega, values[k], **ends)
-                # Where colors are alike, hollow points tell a second fit from the first.
+                # Hollow points distinguish a second fit from the first if colors are equal.
                 points[k].append(replace(series, is_hollow=number > 0))
 
     if not points[0]:
@@ -164,10 +183,13 @@ def _error_panels(
     panels = []
     for k, label in enumerate(("Error, dB", "Error, °")):
         bands = [_band(drawn, k) for drawn in responses if drawn.band is not None]
-        # Beside a zero of the response, a band reaches so far that the points would be a line.
-        drawn = [y for row in points[k] for y in (row.y, row.low, row.high) if y is not None]
-        reach = np.abs(np.hstack(drawn))
-        most = 1.2 * max(reach[np.isfinite(reach)], default=0.0)
+        # The points and their bars set the scale. Near a zero of the response a band is so wide
+        # that the points would look like a line.
+        values = []
+        for series in points[k]:
+            values += [y for y in (series.y, series.low, series.high) if y is not None]
+        sizes = np.abs(np.hstack(values))
+        most = 1.2 * max(sizes[np.isfinite(sizes)], default=0.0)
         limits = (-most, most) if most > 0 else None
         panels.append(Panel(label, [rule(), *bands, *points[k]], 0.5, limits=limits))
     return panels
@@ -176,6 +198,7 @@ def _error_panels(
 def _caption(
     responses: Sequence[DrawnResponse], panels: Sequence[Panel], level: float | None
 ) -> Iterator[str]:
+    """Yield the sentences below a diagram."""
     if level is not None and any(drawn.band is not None for drawn in responses):
         yield f"Shaded: {100 * level:g} % confidence band of the fitted response."
     if any(drawn.response.variance is not None for drawn in responses):
@@ -191,8 +214,8 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     order = np.argsort(around.omega)
     omega = around.omega[order]
     unit = (DB_PER_NEPER, 180 / np.pi)[k]
-    # Beside a zero of the response, errors are larger than it. The band is as wide as error bars at
-    # most: 20 dB and half a turn to either side.
+    # Near a zero of the response, errors are larger than the response. The band is at most as wide
+    # as error bars: 20 dB and half a turn to either side.
     most = (20.0, 180.0)[k]
     middle = unit * around.offset[k, order]
     half_width = np.minimum(unit * around.half_width[k, order], most)
@@ -202,12 +225,16 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
 
 
 def error_bars(data: FrequencyResponse, values: Array) -> list[dict[str, Any]]:
-    """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
+    """Return the ends of error bars, as arguments of `Series` for magnitude and for phase.
+
+    `values` (2, n) are the magnitudes in dB and the phases in degrees.
+    """
     if data.variance is None:
         return [{}, {}]
     relative = data.relative_error
-    # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
-    down, up = (decibels_of(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
+    # At most 20 dB to either side: a bar down to a magnitude of zero would be infinite.
+    down = decibels_of(1 + np.clip(-relative, -0.9, 9.0))
+    up = decibels_of(1 + np.clip(relative, -0.9, 9.0))
     turn = np.degrees(np.minimum(relative, np.pi))
     return [
         {"low": values[0] + down, "high": values[0] + up},
@@ -219,26 +246,27 @@ def error_bars(data: FrequencyResponse, values: Array) -> list[dict[str, Any]]:
 
 
 def phases(responses: Sequence[DrawnResponse]) -> Iterator[Array]:
-    """Yield the phase (n,) of each response in degrees; those of one pair lie next to each other.
+    """Yield the phase (n,) of each response in degrees, so that those of one pair are close.
 
-    Curves must come before measured responses.
+    Curves must come before measured responses. Measured points are not unwrapped along frequency,
+    because one noisy point would shift all that follow. Each is shown within half a turn of its
+    curve.
     """
-    # Measured points are not unwrapped along frequency, because one noisy point would shift all
-    # that follow: each is shown within half a turn of its curve.
+    # Frequencies and phases of the first curve of a pair, and of the last curves by data and pair.
     first: dict[tuple[str, str], tuple[Array, Array]] = {}
     curves: dict[str | tuple[str, str], tuple[Array, Array]] = {}
     for drawn in responses:
-        alone = _unwrapped(drawn.response)
-        phase = _moved(alone, first.setdefault(drawn.pair, alone))
+        unwrapped = _unwrapped(drawn.response)
+        phase = _moved(unwrapped, first.setdefault(drawn.pair, unwrapped))
         if drawn.is_measured:
             phase = curves.get(drawn.checksum) or curves.get(drawn.pair) or phase
         else:
             curves[drawn.checksum] = phase
             curves.setdefault(drawn.pair, phase)
-        # Each value within half a turn of the guide.
-        own = np.degrees(np.angle(drawn.response.response))
-        distance = interpolated(drawn.response.omega, *phase) - own
-        yield own + 360 * np.round(distance / 360)
+        # Each value is moved to within half a turn of the curve.
+        principal = np.degrees(np.angle(drawn.response.response))
+        distance = interpolated(drawn.response.omega, *phase) - principal
+        yield principal + 360 * np.round(distance / 360)
 
 
 def _unwrapped(response: FrequencyResponse) -> tuple[Array, Array]:
@@ -249,7 +277,11 @@ def _unwrapped(response: FrequencyResponse) -> tuple[Array, Array]:
 
 
 def _moved(phase: tuple[Array, Array], guide: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Move a phase by multiples of 360° next to a guide, at their lowest common frequency."""
-    low = max(phase[0][0], guide[0][0])
-    distance = interpolated(low, *guide) - interpolated(low, *phase)
-    return phase[0], phase[1] + 360 * np.round(distance / 360)
+    """Return a phase, moved by multiples of 360° next to a guide at their lowest common frequency.
+
+    Both are frequencies (n,) and phases (n,) in degrees.
+    """
+    omega, degrees = phase
+    lowest = max(omega[0], guide[0][0])
+    distance = interpolated(lowest, *guide) - interpolated(lowest, *phase)
+    return omega, degrees + 360 * np.round(distance / 360)

@@ -9,6 +9,7 @@ from greybox.data.clock import clock_of, runs_between_holes
 from greybox.data.excited_segment import Segment, Segments, checked_segments
 from greybox.data.files.arrays import Array
 from greybox.data.files.grouping import grouped
+from greybox.data.files.public import public
 from greybox.data.record import Record, Recording
 from greybox.reporting.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
 from greybox.reporting.plotting.long_lines import drawn_line
@@ -20,6 +21,7 @@ ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.De
 ORANGE = 1  # color of tests that are not usable
 
 
+@public
 def traces(
     record: Record,
     segment: Segment | None = None,
@@ -76,6 +78,7 @@ def traces(
     return draw([Figure("Traces", "Time, s", panels, subject=subject)], axes, size=(9.0, 2.0))
 
 
+@public
 def recording(
     recording: Recording,
     segments: Segments = (),

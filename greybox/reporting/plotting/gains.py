@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.data.frequency_response import decibels_of
 from greybox.reporting.plotting.figure import (
     CROSS,
@@ -28,6 +29,7 @@ from greybox.workflows.experiment.sampled_loop import SampledLoop
 SHOWN = (0.05, 8.0)  # frequencies of the sensitivity, over that of its peak
 
 
+@public
 def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
     """Draw which sets of gains are allowed, and the loop with today's and with the other gains.
 

@@ -1,4 +1,4 @@
-"""Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step."""
+"""Figures of loops with confidence bands: Bode, Nichols and Nyquist diagrams, and steps."""
 
 import math
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.reporting.plotting.bode import BARS, error_bars
 from greybox.reporting.plotting.figure import (
@@ -27,27 +28,34 @@ from greybox.workflows.experiment.loop_numbers import loop_frequencies
 from greybox.workflows.experiment.margin_values import Margin, Margins, with_interval
 from greybox.workflows.experiment.measured_loop_margins import measured_curves
 
-REACH = 5.0  # of the frequency axis, below and above the frequencies of the margins
-FARTHEST = 30.0  # dB, of a gain margin that is marked
-PHASES, DECIBELS = (-330.0, -30.0), (-40.0, 40.0)  # of the Nichols diagram
-DRAWN_CURVES = 25  # in the Nichols and Nyquist diagrams, where a band has no direction
+# Factor by which the frequency axis extends below and above the frequencies of the margins.
+REACH = 5.0
+# Largest gain margin that is marked, dB.
+FARTHEST = 30.0
+# Largest limits of the axes of the Nichols diagram, degrees and dB.
+PHASES = (-330.0, -30.0)
+DECIBELS = (-40.0, 40.0)
+# Curves of draws in the Nichols and Nyquist diagrams, where a band would have no direction.
+DRAWN_CURVES = 25
 ESTIMATE = "estimate"
+# Points of the unit circle.
 TURN = np.exp(1j * np.linspace(0, math.tau, 181))
 
 
+@public
 def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -> AxesArray:
     """Draw the broken loop (magnitude, phase, Nichols, Nyquist), its sensitivity and a step.
 
     The phase and gain margins are marked with their intervals, and in the Nyquist diagram the
-    modulus margin, a circle. Shaded are bands at the level of the margins; in the Nichols and
-    Nyquist diagrams thin curves are draws from the distribution of the estimates. The frequencies
+    modulus margin by a circle. Bands at the level of the margins are shaded. In the Nichols and
+    Nyquist diagrams, thin curves show draws from the distribution of the estimates. The frequencies
     are those around the margins.
 
     Parameters
     ----------
     margins : Margins
-        Its `points` are drawn, too, with bars of one standard deviation; in the Nyquist diagram
-        with circles, their regions at the level of the margins.
+        Its `points` are drawn, too, with bars of one standard deviation. In the Nyquist diagram,
+        circles show their confidence regions at the level of the margins.
     axes : array-like of Axes, optional
         Four for the broken loop, and with a model and a setpoint two more, for the sensitivity and
         the step. By default a new figure is made.
@@ -60,35 +68,37 @@ def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -
     """
     figures = loop_figures(margins)
     panels = sum(len(figure.panels) for figure in figures)
-    # No place of the grid is left empty.
+    # With these columns, no place of the grid is empty.
     columns = 3 if panels % 3 == 0 else 2
     return draw(figures, axes, columns=columns, size=(4.4, 3.8), title=margins.plant, hz=hz)
 
 
 def loop_figures(margins: Margins) -> list[Figure]:
-    """Return the Bode, Nichols and Nyquist diagrams, then sensitivity and step of a model."""
+    """Return the Bode, Nichols and Nyquist diagrams, then the sensitivity and step of a model."""
     require_drawable(margins, Margins, "the Margins that gb.margins returns")
     omega, gain = _curves(margins)
-    decibel, phase = decibels_of(gain), np.degrees(np.unwrap(np.angle(gain)))
+    decibel = decibels_of(gain)
+    phase = np.degrees(np.unwrap(np.angle(gain)))
+    # Draws are in the same turn as the estimate. At the gain nearest to one, its phase is between
+    # -360 and 0 degrees.
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
-    # In the turn that has -180 degrees in its middle, at the gain nearest to one.
     phase -= 360 * math.ceil(phase[0, np.abs(decibel[0]).argmin()] / 360)
-    # The points of a measured loop have regions of their own.
+    # The points of a measured loop are drawn themselves, and the curve is between them.
     name = ESTIMATE if margins.loop else "between the points"
     limits = (None, None)
     if not margins.loop:
-        # A point without information must not set the scale.
+        # The curve sets the scale: a point without information has bars of any length.
         limits = [_within(curve[0], (-math.inf, math.inf), 0.15) for curve in (decibel, phase)]
+    # The series of the four diagrams: gain, phase, Nichols, Nyquist.
     curves: list[list[Series]] = [
         [*_banded(margins, omega, decibel, name), rule()],
         [*_banded(margins, omega, phase, name), rule(-180.0)],
         _plane(phase, decibel, (-180.0, 0.0), name),
         [_circle(0.0, 1.0, GRAY, style=1), *_plane(gain.real, gain.imag, (-1.0, 0.0), name)],
     ]
-    marks = _phase_marks(margins, omega, phase[0]), _gain_marks(margins)
-    for k, series in enumerate(curves):
-        for mark in marks:
-            series.extend(mark[k])
+    for marks in (_phase_marks(margins, omega, phase[0]), _gain_marks(margins)):
+        for series, mark in zip(curves, marks, strict=True):
+            series.extend(mark)
     curves[3] += _modulus_mark(margins)
     for k, measured in enumerate(margins.points):
         is_near = (measured.omega >= omega[0]) & (measured.omega <= omega[-1])
@@ -100,7 +110,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
     captions = (BARS, CIRCLES) if margins.points else ("", "")
     bands = _band_name(margins)
     signal = f"Loop broken at {margins.signal}" if margins.signal else "Broken loop"
-    # Low frequencies are far away; what matters is around the critical point.
+    # The part around the critical point matters. At low frequencies the loop is far away.
     nyquist = Panel("Imaginary part", curves[3], limits=(-2.0, 2.0))
     figures = [
         Figure(
@@ -138,9 +148,10 @@ def loop_figures(margins: Margins) -> list[Figure]:
 def _points(
     data: FrequencyResponse, omega: Array, phase: Array, level: float, color: int
 ) -> list[Series]:
-    """Return the points of a measured loop in each of the four diagrams."""
-    size, angle = data.decibels, data.degrees
-    # Both phases in the same turn.
+    """Return the points of a measured loop as a series for each of the four diagrams."""
+    size = data.decibels
+    angle = data.degrees
+    # In the same turn as the curve.
     angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase)) / 360)
     sizes, angles = error_bars(data, np.array([size, angle]))
     looks: list[dict[str, Any]] = [
@@ -163,7 +174,7 @@ def _closed_loop(margins: Margins, omega: Array, gain: ComplexArray) -> list[Fig
     ]
     panel = Panel(f"|S| at {margins.signal}, dB", sensitivity)
     time, steps = step_responses(margins.require_loop(), margins.setpoint, margins.response)
-    # The slowest pole may have no part in the step.
+    # The step responses last until the slowest pole has decayed, which may not show in them.
     is_shown = time <= 4 * margins["settling time"].value
     series = [*_banded(margins, time[is_shown], steps[:, is_shown], ESTIMATE), rule(1.0)]
     step = Panel(f"{margins.response} over its final value", series)
@@ -174,7 +185,7 @@ def _closed_loop(margins: Margins, omega: Array, gain: ComplexArray) -> list[Fig
 
 
 def _band_name(margins: Margins) -> str:
-    """Return the entry of the band in the legend; empty without errors."""
+    """Return the name of the band in the legend; empty without intervals."""
     return "" if math.isnan(margins.level) else f"{100 * margins.level:g} % band"
 
 
@@ -191,7 +202,7 @@ def _curves(margins: Margins) -> tuple[Array, ComplexArray]:
         omega = loop_frequencies(margins.loop)
         gain = None
         if not places:
-            # A loop without margins: where its gain is nearest to one.
+            # A loop without margins is shown around the gain nearest to one.
             size = np.abs(margins.loop.first.broken_at(margins.signal, omega)[0])
             places = [omega[np.abs(np.log(size)).argmin()]]
     if places:
@@ -204,7 +215,10 @@ def _curves(margins: Margins) -> tuple[Array, ComplexArray]:
 
 
 def _banded(margins: Margins, x: Array, values: Array, name: str) -> list[Series]:
-    """Return the curve of the estimate, and the band between quantiles of the draws."""
+    """Return the curve of the estimate, and the band between quantiles of the draws.
+
+    `values` (plants, n) have the estimate first.
+    """
     curve = [Series(name, "line", x, values[0])]
     if len(values) == 1:
         return curve
@@ -226,33 +240,40 @@ def _plane(x: Array, y: Array, critical: tuple[float, float], name: str) -> list
 
 
 def _circle(center: float, radius: float, color: int, style: int = 0, name: str = "") -> Series:
+    """Return a circle around a point of the real axis."""
     circle = center + radius * TURN
     return Series(name, "line", circle.real, circle.imag, color, style)
 
 
 def _within(values: Array, limits: tuple[float, float], share: float = 0.05) -> tuple[float, float]:
-    """Return limits of an axis that show the values, but no more than these limits."""
+    """Return limits of an axis around the values, within the given limits.
+
+    `share` is the room on either side, as a share of the range of the values.
+    """
     low, high = float(values.min()), float(values.max())
     room = share * (high - low)
     return max(limits[0], low - room), min(limits[1], high + room)
 
 
 def _phase_marks(margins: Margins, omega: Array, phase: Array) -> list[list[Series]]:
-    """Return the phase margin with its interval in each of the four diagrams."""
+    """Return the phase margin with its interval as series for each of the four diagrams."""
     row = _marked(margins, "phase margin")
     if row is None or row.value >= 180:
         return [[], [], [], []]
-    # The margin is one of lag or of lead.
+    # The phase lies above -180 degrees, or below.
     sign = 1.0 if np.interp(row.omega, omega, phase) > -180 else -1.0
-    tip, ends = -180 + sign * row.value, -180 + sign * np.array([row.low, row.high])
-    ends = np.sort(ends) if np.isfinite(ends).all() else np.full(2, tip)
-    name, at, zero = _label(row), row.omega, np.zeros(2)
+    tip = -180 + sign * row.value
+    ends = np.sort(-180 + sign * np.array([row.low, row.high]))
+    if not np.isfinite(ends).all():
+        ends = np.full(2, tip)
+    name = _label(row)
+    at = row.omega
     arc = _on_circle(-180, tip)
     edge = _on_circle(ends[0], ends[1])
     return [
         [Series("", "points", np.array([at]), np.zeros(1), 1)],
         _mark(name, np.full(2, at), np.array([-180, tip]), ends, 1),
-        _mark(name, np.array([-180, tip]), zero, ends, 1, is_across=True),
+        _mark(name, np.array([-180, tip]), np.zeros(2), ends, 1, is_across=True),
         [
             Series(name, "line", arc.real, arc.imag, 1),
             # The interval is a part of the unit circle.
@@ -269,14 +290,18 @@ def _on_circle(begin: float, end: float) -> ComplexArray:
 
 
 def _gain_marks(margins: Margins) -> list[list[Series]]:
-    """Return the gain margin with its interval in each of the four diagrams."""
+    """Return the gain margin with its interval as series for each of the four diagrams."""
     row = _marked(margins, "gain margin")
     if row is None or row.value > FARTHEST:
         return [[], [], [], []]
-    tip, ends = -row.value, -np.array([row.high, row.low])
-    ends = ends if np.isfinite(ends).all() else np.full(2, tip)
-    name, at = _label(row), row.omega
-    place, low, high = (-(10 ** (value / 20)) for value in (tip, ends[1], ends[0]))
+    tip = -row.value
+    ends = -np.array([row.high, row.low])
+    if not np.isfinite(ends).all():
+        ends = np.full(2, tip)
+    name = _label(row)
+    at = row.omega
+    # The same on the real axis, from decibels to gains.
+    place, low, high = (-(10 ** (decibels / 20)) for decibels in (tip, ends[1], ends[0]))
     bar = _mark(name, np.full(2, at), np.array([0, tip]), ends, 3)
     return [
         bar,
@@ -310,6 +335,7 @@ def _marked(margins: Margins, name: str) -> Margin | None:
 
 
 def _label(row: Margin) -> str:
+    """Return a margin with its interval and unit."""
     return f"{row.name} {with_interval(row)} {row.unit}".strip()
 
 

@@ -9,6 +9,7 @@ from greybox.assessment.response_band import radius, require_level
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Interval
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.reporting.plotting.figure import Figure, Panel, outlined
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -23,6 +24,7 @@ from greybox.reporting.plotting.responses import (
 CIRCLES = "Circles: confidence regions of the measured points."
 
 
+@public
 def nyquist(
     *fits: Fit | FrequencyResponse,
     labels: Sequence[str] = (),

@@ -7,6 +7,7 @@ from itertools import zip_longest
 from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.assessment.result import Fit
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.reporting.plotting.bode import bode_figures
 from greybox.reporting.plotting.figure import Figure, require_drawable
@@ -18,6 +19,7 @@ from greybox.reporting.plotting.starts import starts_figure
 from greybox.reporting.plotting.time_history import history_figure
 
 
+@public
 def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     """Draw an overview of a fit.
 

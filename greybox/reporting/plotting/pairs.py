@@ -5,10 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.reporting.plotting.figure import Figure, Panel, Series, band, require_drawable
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
+@public
 def pairs(columns: Mapping[str, Array], axes: GivenAxes | None = None) -> AxesArray:
     """Draw histograms of parameters, and each pair of them with its correlation.
 

@@ -3,11 +3,13 @@
 import numpy as np
 
 from greybox.assessment.profile_result import ProfileOf, Profiles
+from greybox.data.files.public import public
 from greybox.reporting.plotting.figure import GRAY, Figure, Panel, Series, band, require_drawable
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.reporting.plotting.signals import with_unit
 
 
+@public
 def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
     """Draw |r|, the root of the likelihood ratio, over every profiled quantity.
 

@@ -10,6 +10,7 @@ from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
 from greybox.data.files.greek_letters import in_greek
 from greybox.data.files.numbers_in_text import p_text
+from greybox.data.files.public import public
 from greybox.reporting.plotting.figure import GRAY, Figure, Panel, Series, require_drawable, rule
 from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.reporting.plotting.signals import chosen, shown_unit, with_unit
@@ -18,6 +19,7 @@ from greybox.statistics.correlation_statistics import CorrelationTest, whiteness
 PARTS = 10  # of the range of a signal, and of a record
 
 
+@public
 def residuals(
     fit: Fit, record: int = 0, *, axes: GivenAxes | None = None, hz: bool = False
 ) -> AxesArray:

@@ -8,6 +8,7 @@ from greybox.assessment.fitted_part import FittedSpectrum
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array, ComplexArray, all_finite
 from greybox.data.files.greek_letters import in_greek
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.reporting.plotting.figure import (
@@ -25,6 +26,7 @@ from greybox.reporting.plotting.matplotlib_figure import AxesArray, GivenAxes, d
 from greybox.reporting.plotting.signals import chosen, shown_unit
 
 
+@public
 def spectrum(
     item: Fit | TransientSpectrum,
     part: int = 0,

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Interval
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.engine.solve.runs import SCREENED, Run
 from greybox.reporting.plotting.figure import (
@@ -23,6 +24,7 @@ from greybox.reporting.plotting.matplotlib_figure import draw
 COLORED = 5  # minima with a color of their own; the others are gray
 
 
+@public
 def starts(fit: Fit, ax: Axes | None = None) -> Axes:
     """Draw the final cost of every run, sorted and colored by the minimum that it reached.
 

@@ -10,6 +10,7 @@ from greybox.assessment.simulation.prediction import Prediction
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
+from greybox.data.files.public import public
 from greybox.data.record import Record
 from greybox.reporting.plotting.figure import (
     GRAY,
@@ -58,6 +59,7 @@ class History:
     pieces: list[IntArray]
 
 
+@public
 def time_history(
     *items: Fit | Prediction,
     record: int = 0,

@@ -1,4 +1,4 @@
-"""Numbers of closed loops of many plants: response, step and poles."""
+"""Numbers of closed loops of many plants, from their responses, step responses and poles."""
 
 import math
 from collections.abc import Sequence
@@ -29,15 +29,23 @@ def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
     return bool(size[0] > 1e-6 * size.max())
 
 
-@np.errstate(all="ignore")  # draws may be unstable, or without gain
+# Some draws of a plant may be unstable, or have no gain.
+@np.errstate(all="ignore")
 def closed_loop_numbers(
     loop: SampledLoop, omega: Array, setpoint: str, response: str, **attitude: Any
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response
-    must be integrated to give an angle (None if it is neither an angle nor a rate), and `boundary`
-    has phase delays and bandwidths (2, n).
+    Parameters
+    ----------
+    loop : SampledLoop
+    omega : (n,) array, rad/s
+    setpoint, response : str
+    integrals : int or None
+        For the criteria of ADS-33: the number of integrations that lead from the response to an
+        angle. None if the response is neither an angle nor a rate.
+    boundary : (2, n) array
+        For the same criteria: phase delays (s) and bandwidths (rad/s) of a required boundary.
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),
@@ -54,6 +62,7 @@ def _response_numbers(
     integrals: int | None,
     boundary: Array,
 ) -> Numbers:
+    """Return bandwidths and phase delays of the closed-loop frequency responses."""
     final = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
     gain = loop.gains(setpoint, [response], omega)[..., 0] / final
     size, phase = np.abs(gain), np.unwrap(np.angle(gain), axis=1)
@@ -64,15 +73,21 @@ def _response_numbers(
     if integrals is None:
         return answer
 
-    # ADS-33E-PRF, 3.3.2.1: 45 degrees before the phase at which a pilot's gain makes the attitude
-    # unstable, and 6 dB below that gain; the phase delay is the slope of the phase beyond.
-    size, phase = size / omega**integrals, phase - integrals * math.pi / 2
+    # ADS-33E-PRF, 3.3.2.1. At a phase of -180 degrees, the gain of a pilot could make the attitude
+    # unstable. The bandwidth has a margin of 45 degrees to this phase, or of 6 dB to the gain
+    # there. The phase delay is the slope of the phase beyond.
+    size = size / omega**integrals
+    phase = phase - integrals * math.pi / 2
     reversal = crossings(phase + math.pi, omega).first
-    enough = crossings(size - 10 ** (6 / 20) * _at(reversal.omega, omega, size)[:, None], omega)
-    by_gain = enough.where(enough.omega < reversal.omega[enough.plant]).last
+    required_size = 10 ** (6 / 20) * _at(reversal.omega, omega, size)
+    with_margin = crossings(size - required_size[:, None], omega)
+    by_gain = with_margin.where(with_margin.omega < reversal.omega[with_margin.plant]).last
     by_phase = crossings(phase + 0.75 * math.pi, omega).first
-    # A command of attitude has no gain bandwidth: its loop already holds the attitude.
-    bandwidth = np.minimum(by_gain.value, by_phase.value) if integrals else by_phase.value
+    # If the attitude itself is commanded, the loop holds it and the gain bandwidth does not count.
+    bandwidth = by_phase.value
+    if integrals:
+        bandwidth = np.minimum(by_gain.value, by_phase.value)
+    # The phase delay follows from the phase at twice the frequency of -180 degrees.
     twice = 2 * reversal.omega
     delay = -(math.pi + _at(twice, omega, phase)) / twice
     delay = np.where(twice <= omega[-1], delay, math.nan)
@@ -83,32 +98,39 @@ def _response_numbers(
         "phase delay": Located(delay, reversal.omega),
     }
     if boundary.size:
-        # A boundary ends at its largest phase delay.
+        # Phase delays beyond the end of the boundary are not allowed at any bandwidth.
         above = bandwidth - np.interp(delay, *boundary, right=math.inf)
         answer["bandwidth above the boundary"] = Located(above, bandwidth)
     return answer
 
 
-def _at(places: Array, omega: Array, curves: Array) -> Array:
-    """Return each curve (plants, n) at its own frequency (plants,)."""
-    return np.array([np.interp(w, omega, row) for w, row in zip(places, curves, strict=True)])
+def _at(frequencies: Array, omega: Array, curves: Array) -> Array:
+    """Return the value (plants,) of each curve (plants, n) at a frequency of its own (plants,)."""
+    return np.array(
+        [
+            np.interp(frequency, omega, curve)
+            for frequency, curve in zip(frequencies, curves, strict=True)
+        ]
+    )
 
 
 def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     """Return damping ratio and natural frequency of the poles that dominate a step.
 
-    The dominant pole of the first plant has the largest part in the step; those of the other plants
-    are next to it.
+    The dominant pole of the first plant contributes most to its step response. That of another
+    plant is the one nearest to it.
     """
     from scipy.linalg import eig  # noqa: PLC0415  (takes a tenth of a second to import)
 
     A, B, C, _ = (block[0] for block in loop.first.closed(setpoint, response))
     z, left, right = map(np.asarray, eig(A, left=True, right=True))
-    part = (C @ right) * (left.conj().T @ B) / np.sum(left.conj() * right, axis=0) / (1 - z)
-    # Past controls are poles at zero, which may be multiple; a pole at one is a position that no
-    # controller holds.
-    part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
-    dominant = np.log(z[np.abs(part).argmax()]) / loop.period
+    # Residues of the step response.
+    size = np.sum(left.conj() * right, axis=0)
+    contribution = (C @ right) * (left.conj().T @ B) / size / (1 - z)
+    # Left out are poles at zero, which are past controls and may be multiple, and poles at one,
+    # which are positions that no controller holds.
+    contribution[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
+    dominant = np.log(z[np.abs(contribution).argmax()]) / loop.period
     dominant = dominant.real + 1j * abs(dominant.imag)
     pole = nearest_pole(np.log(loop.poles) / loop.period, dominant)
     frequency = np.abs(pole)
@@ -119,25 +141,34 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
 
 
 def step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
-    """Return overshoot (percent), rise time and settling time of a step of a setpoint.
+    """Return overshoot (percent), rise time (s) and settling time (s) of a step of a setpoint.
 
-    The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.
+    The response rises from 10 % to 90 % of its final value, and has settled once it stays within
+    2 % of it.
     """
     time, steps = step_responses(loop, setpoint, response)
     rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
-    outside = np.abs(steps - 1) - 0.02  # of a settled response
-    settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
+    excess = np.abs(steps - 1) - 0.02
+    has_settled = excess[:, -1] < 0
+    settling = np.where(has_settled, crossings(excess, time).last.value, math.inf)
     numbers = {
         "overshoot": 100 * np.maximum(steps.max(axis=1) - 1, 0),
         "rise time": rise,
         "settling time": settling,
     }
-    nowhere = np.full(len(steps), np.nan)
-    return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
+    # These numbers belong to no frequency.
+    no_frequency = np.full(len(steps), np.nan)
+    return {
+        name: Located(np.where(loop.is_stable, values, math.inf), no_frequency)
+        for name, values in numbers.items()
+    }
 
 
 def samples_to_settle(loop: SampledLoop, remaining: float = 1e-4) -> int:
-    """Return after how many samples this share of the slowest mode of the first plant remains."""
+    """Return the number of samples after which a share of the slowest mode remains.
+
+    The mode is that of the first plant.
+    """
     size = np.abs(loop.first.poles)
     # A pole at one is a position that no controller holds.
     slowest = size[size < 1 - 1e-7].max(initial=0.5)
@@ -145,30 +176,36 @@ def samples_to_settle(loop: SampledLoop, remaining: float = 1e-4) -> int:
 
 
 def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Array, Array]:
-    """Return times (n,) and responses (plants, n) to a step of a setpoint, over their final values.
+    """Return times (n,), s, and responses (plants, n) to a step, divided by their final values.
 
     They end when the slowest pole of the first plant has decayed.
     """
     count = samples_to_settle(loop)
-    # So many points of a step response take 70 MB for all draws.
+    # At most 2**14 points of a step response, which take 70 MB for all draws.
     stride = -(-count // 2**14)
     length = math.isqrt(count // stride) + 1
     A, B, C, D = loop.closed(setpoint, response)
 
-    # With the constant input as a state, sample k is the last entry of the row [C D] M^k.
-    M = np.zeros((len(A), len(A[0]) + 1, len(A[0]) + 1))
-    M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
+    # The constant input is one more state: sample k is the last entry of the row [C D] M^k.
+    plants, n = A.shape[:2]
+    M = np.zeros((plants, n + 1, n + 1))
+    M[:, :-1, :-1] = A
+    M[:, :-1, -1] = B
+    M[:, -1, -1] = 1
+    # For k = i + length j, the sample is the product of row i, [C D] M^i, and column j, the last
+    # one of M^(length j). This takes 2 length products in place of length².
     rows = [np.hstack([C, D[:, None]])[:, None]]
-    columns = [np.broadcast_to(np.eye(M.shape[1])[:, -1:], (len(M), M.shape[1], 1))]
-    with np.errstate(all="ignore"):  # unstable loops
-        between = np.linalg.matrix_power(M, stride)
-        across = np.linalg.matrix_power(between, length)
+    columns = [np.broadcast_to(np.eye(n + 1)[:, -1:], (plants, n + 1, 1))]
+    # Powers of unstable loops overflow.
+    with np.errstate(all="ignore"):
+        short_power = np.linalg.matrix_power(M, stride)
+        long_power = np.linalg.matrix_power(short_power, length)
         for _ in range(length - 1):
-            rows.append(rows[-1] @ between)
-            columns.append(across @ columns[-1])
-        steps = np.hstack(rows) @ np.concatenate(columns, axis=2)
-        steps = steps.mT
+            rows.append(rows[-1] @ short_power)
+            columns.append(long_power @ columns[-1])
+        samples = np.hstack(rows) @ np.concatenate(columns, axis=2)
+    steps = samples.mT.reshape(plants, -1)
     final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
-    # Both begin at zero, before the step.
-    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / final[:, None], ((0, 0), (1, 0)))
+    # Both begin with a zero, before the step.
+    return np.r_[0.0, time], np.pad(steps / final[:, None], ((0, 0), (1, 0)))

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from greybox.data.files.public import public
 from greybox.data.record import Record
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
@@ -21,6 +22,7 @@ THINNED = 1.2  # rate of the loop over that of the log, above which passes are m
 GOOD, REFUSED = 0.1, 0.5
 
 
+@public
 @dataclass(frozen=True)
 class ControlCheck:
     """How far a controller reproduces a logged control.
@@ -53,6 +55,7 @@ class ControlCheck:
         return f"Residual {100 * self.residual:.2g} % of the control{log}: the controller {verdict}"
 
 
+@public
 def check_controller(controller: Controller, record: Record) -> ControlCheck:
     """Simulate a controller on the logged error, and compare its first output with the log.
 

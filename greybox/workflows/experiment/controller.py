@@ -9,7 +9,8 @@ import casadi as ca
 
 from greybox.data.files.argument_checks import checked_items, is_finite_number
 from greybox.data.files.grouping import unique
-from greybox.data.files.named_values import Values
+from greybox.data.files.named_values import ByName, Values
+from greybox.data.files.public import public
 from greybox.modeling.declaration import declared_parameters, require_signal_names, require_usable
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.model import require_known
@@ -18,6 +19,7 @@ from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, entries_by_name, traced
 
 
+@public
 class Controller(ABC):
     r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$.
 
@@ -61,6 +63,20 @@ class Controller(ABC):
     ------
     ValueError
         For names that the declaration does not have, or numbers that are not finite.
+
+    Examples
+    --------
+    >>> class Hold(gb.Controller):
+    ...     'Holds an angle.'
+    ...
+    ...     inputs, outputs = ("theta", "q"), ("u",)
+    ...     K = gb.Parameter(4.0, bounds=(0, 100), unit="1", about="control per error")
+    ...     D = gb.Parameter(1.0, bounds=(0, 100), unit="s", about="control per rate")
+    ...
+    ...     def update(self, x, u, p):
+    ...         return (), (p.K * (u.reference - u.theta) - p.D * u.q,)
+    >>> Hold({"K": 5.0}, rate=100).rate
+    100.0
     """
 
     states: Sequence[str] = ()
@@ -75,7 +91,7 @@ class Controller(ABC):
         """Collect the parameters of the class and of the classes above it, and check the names."""
         super().__init_subclass__(**kwargs)
         parameters = declared_parameters(cls)
-        cls.parameters = MappingProxyType(parameters)
+        cls.parameters = MappingProxyType(ByName(parameters))
         require_usable(parameters, cls.__name__, Controller)
         require_signal_names(cls, "states", "inputs", "setpoints", "outputs")
         twice = {*cls.inputs} & {*cls.setpoints}

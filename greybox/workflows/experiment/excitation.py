@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.record import NOT_STORED, Record
 
 
@@ -30,6 +31,7 @@ class Maneuver(NamedTuple):
     offset: float
 
 
+@public
 @frozen
 class Excitation(Record):
     """A test signal to be flown, or several at once: a `Record` with its schedule.

@@ -8,6 +8,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.covariance.accuracy import propagate
@@ -18,6 +19,7 @@ from greybox.modeling.formulation.sum import Sum
 from greybox.modeling.model import require_known
 
 
+@public
 @frozen
 class ExpectedErrors:
     """The standard errors that a test would give; printed, they are a table.
@@ -62,6 +64,7 @@ class ExpectedErrors:
         return "\n".join(lines)
 
 
+@public
 def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     """Return the standard errors that a fit of this problem would have if these were its estimates.
 

@@ -13,6 +13,7 @@ from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import listed
 from greybox.workflows.experiment.sampled_loop import SampledLoop
@@ -86,6 +87,7 @@ class GainChange:
         return _signed(100 * change, " %")
 
 
+@public
 @frozen
 class GainComparison(Printed):
     """A set of gains against today's gains, with the same plants. It prints itself as a table.
@@ -234,15 +236,17 @@ def _with_ends(unit: str, *numbers: float) -> str:
 
 
 def linear(values: Array, unit: str) -> Array:
-    """Return numbers of which ratios can be taken: decibels as factors, an overshoot as a peak."""
+    """Return numbers whose ratios have a meaning: decibels as factors, an overshoot as a peak."""
     if unit == "dB":
         return 10 ** (values / 20)
-    return 1 + values / 100 if unit == "%" else values
+    if unit == "%":
+        return 1 + values / 100
+    return values
 
 
 @np.errstate(all="ignore")
 def worsening(today: Array, changed: Array, unit: str, is_large_better: bool) -> Array:
-    """Return by which factor (plants,) numbers get worse; one where both are zero or infinite."""
+    """Return the factors (plants,) by which numbers get worse; one if both are equal."""
     before, after = linear(today, unit), linear(changed, unit)
     if is_large_better:
         before, after = after, before
@@ -253,10 +257,12 @@ def worsening(today: Array, changed: Array, unit: str, is_large_better: bool) ->
 def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, ...]:
     """Return the change of every number in the flight in which it is or may be worst."""
     by_name: dict[str, list[GainChange]] = {}
-    for change in (change for changes in flights for change in changes):
-        by_name.setdefault(change.name, []).append(change)
+    for changes in flights:
+        for change in changes:
+            by_name.setdefault(change.name, []).append(change)
     return tuple(max(changes, key=_badness) for changes in by_name.values())
 
 
 def _badness(change: GainChange) -> tuple[float, ...]:
+    """Return a key that is larger for a worse change; a change that is unknown is the worst."""
     return tuple(math.inf if math.isnan(v) else v for v in (change.high, change.worsening))

@@ -5,11 +5,13 @@ from pathlib import Path
 
 from greybox.data.files.control_characters import printable
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import write_text
 
 REAL = 9  # MAV_PARAM_TYPE_REAL32 of MAVLink
 
 
+@public
 def write_gains(gains: Values, path: str | Path, comments: Sequence[str] = ()) -> None:
     """Write parameters to a file for a ground station, atomically.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.workflows.experiment.closed_loop import samples_to_settle
 from greybox.workflows.experiment.loop_numbers import REST, loop_frequencies, margin_numbers
 from greybox.workflows.experiment.sampled_loop import SampledLoop
@@ -50,6 +51,7 @@ class MomentResponse:
         return np.sqrt(np.mean(squares, axis=0))
 
 
+@public
 @dataclass(frozen=True)
 class RejectionBandwidth:
     """The inverse of the disturbance rejection bandwidth of the loop broken at a signal.

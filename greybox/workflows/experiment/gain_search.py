@@ -1,4 +1,4 @@
-"""Which of the gains that meet the requirements are proposed, if any.
+"""The choice of proposed gains among those that meet the requirements.
 
 Begin with `GainSearch`.
 """
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.files.arrays import Array
+from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
@@ -35,24 +35,28 @@ from greybox.workflows.experiment.simulated_flights import (
 )
 from greybox.workflows.experiment.todays_loop import NOISE, PEAK, SENSITIVITY, TodaysLoop
 
-COMPARED = 8  # sets that are compared with all draws; later ones differ from these by little
-WORTHWHILE = 0.75  # of today's objective: new gains are a risk, which less does not repay
+# Most sets that are compared with all draws; others differ little from these.
+COMPARED = 8
+# Share of today's objective that is worth the risk of new gains.
+WORTHWHILE = 0.75
 # Peak of the sensitivity, in dB, below which a loop is robust: Astrom and Hagglund (2006), Advanced
 # PID Control, section 4.5, recommend maximum sensitivities from 1.4 to 2.
 ROBUST = 3.0
-STEPS = 3  # in which proposed gains are approached
+# Number of steps that lead from today's gains to the proposed ones.
+STEPS = 3
 
 
 @frozen
 class TunedControllers:
-    """The controllers that fly, and which of their gains are tuned.
+    """The controllers that fly, and those of their gains that are tuned.
 
     Attributes
     ----------
     controllers : tuple of Controller
     today : mapping of gain to float
+        Today's values of the tuned gains.
     places : tuple of (int, str)
-        Of each gain, the number of the controller and its own name there.
+        For each gain, the number of its controller and its name there.
     """
 
     controllers: tuple[Controller, ...]
@@ -62,13 +66,13 @@ class TunedControllers:
     def with_gains(self, gains: Values) -> list[Controller]:
         """Return the controllers with other gains."""
         changed = [copy.copy(controller) for controller in self.controllers]
-        for (k, own), value in zip(self.places, gains.values(), strict=True):
-            law = changed[k]
-            law.values = Names({**law.values, own: float(value)}, type(law).__name__)
+        for (place, name), value in zip(self.places, gains.values(), strict=True):
+            law = changed[place]
+            law.values = Names({**law.values, name: float(value)}, type(law).__name__)
         return changed
 
     def linear(self, gains: Values, loops: SampledLoop) -> LinearController:
-        """Return the controllers with other gains, linear in the signals of these loops."""
+        """Return the controllers with other gains, linearized for the signals of these loops."""
         key = (*gains.values(), loops.sensors, loops.inputs)
         if key not in self._linear:
             law = self.with_gains(gains)
@@ -77,12 +81,18 @@ class TunedControllers:
 
     @cached_property
     def _linear(self) -> dict[tuple[Any, ...], LinearController]:
-        """Laws that were made before: differentiation takes as long as the margins of a plant."""
+        """Linear controllers by gains and signals.
+
+        They are stored, since the differentiation takes as long as the margins of a plant.
+        """
         return {}
 
 
 def gains_between(today: Values, last: Values, share: float) -> dict[str, float]:
-    """Return gains at this share of the way, in equal ratios where both are positive."""
+    """Return gains at a share of the way from today's to the last ones.
+
+    The way of positive gains is divided in equal ratios.
+    """
     gains = {}
     for name, value in last.items():
         first = today[name]
@@ -97,7 +107,7 @@ def gains_between(today: Values, last: Values, share: float) -> dict[str, float]
 
 @frozen
 class GainSearch:
-    """The search for gains that are better than today's and keep limits.
+    """The search for gains that are better than today's and respect limits.
 
     Attributes
     ----------
@@ -105,14 +115,17 @@ class GainSearch:
     todays : tuple of TodaysLoop
         One for each flight.
     required : tuple of RequiredMargins
-        The same flights.
+        One for each flight, in the same order.
     level : float
-    noise_factor, change : float
-        Limits of the noise over today's, and of the factor by which a gain changes.
+        The required confidence.
+    noise_factor : float
+        Largest noise at the actuator, relative to today's.
+    change : float
+        Largest factor by which a gain may change.
     noise : mapping of signal to float
-        Noise of the sensors in simulated flights.
+        Standard deviation of the noise of sensors in simulated flights.
     moment : float
-        The step moment in them.
+        Size of the step moment in simulated flights.
     """
 
     laws: TunedControllers
@@ -126,7 +139,7 @@ class GainSearch:
 
     @property
     def aim(self) -> str:
-        """What the objective is."""
+        """The name of the objective."""
         objective = self.todays[0].objective
         return getattr(objective, "about", getattr(objective, "__name__", "objective"))
 
@@ -137,22 +150,25 @@ class GainSearch:
 
     @property
     def must_be_better(self) -> bool:
-        """Whether gains are better only with a smaller objective.
+        """Whether proposed gains must have a smaller objective than today's.
 
-        Today's gains are no measure of that if they probably fail the requirements.
+        They need not if today's gains probably fail the requirements.
         """
         return not self.today_confidence < 0.5
 
     def confidence(self, gains: Values) -> float:
-        """Return the share of draws that meet the requirements, of the flight with the smallest."""
+        """Return the share of draws that meet the requirements, the smallest of all flights."""
         shares = []
         for flight in self.required:
             shares.append(flight.judged(self.laws.linear(gains, flight.loops))[0])
-        # NaN if one is NaN.
+        # Unlike Python's, numpy's minimum is NaN if one share is NaN.
         return float(np.min(shares))
 
     def judged(self, sets: Sequence[Values]) -> tuple[Array, str]:
-        """Return the `confidence` of each set, and which flights would measure their crossovers."""
+        """Return the confidence (sets,) of each set, and advice on further flights.
+
+        The advice says which flights would measure the crossovers that were measured poorly.
+        """
         shares = np.empty((len(self.required), len(sets)))
         cures = []
         for row, flight in zip(shares, self.required, strict=True):
@@ -166,31 +182,31 @@ class GainSearch:
     def choose(
         self, sets: Sequence[Values], confidence: Array
     ) -> tuple[Array, GainComparison | None, str]:
-        """Return the objective of the allowed sets over today's, the best set, and a note.
+        """Return the objectives of the sets, a comparison of the best one, and a note.
 
-        The comparison of the best set with today's gains says why it is refused if none is
-        proposed. It is None if no allowed set has a smaller objective. The note says what more
-        noise would buy.
+        Objectives (sets,) are relative to today's; NaN for sets that are not allowed. If no set is
+        proposed, the comparison is that of the best refused set and says why; it is None if no
+        allowed set has a smaller objective than today's. The note names a set that would be better
+        with more noise than allowed.
         """
         allowed = np.flatnonzero(confidence >= self.level)
         ratios = np.full(len(sets), math.nan)
         if not np.all([np.isfinite(today.target[0]) for today in self.todays]):
-            return ratios, self.compared(sets[int(allowed[0])]) if allowed.size else None, ""
+            # A loop of today's gains is unstable, so that nothing can be better or worse.
+            comparison = self.compared(sets[int(allowed[0])]) if allowed.size else None
+            return ratios, comparison, ""
 
-        keeping: list[int] = []
+        # Sets within all limits at the estimate, and the noise of those that exceed only its limit.
+        within_limits: list[int] = []
         noises: dict[int, float] = {}
         for k in map(int, allowed):
             ratios[k], exceeded, noise = self._at_the_estimate(sets[k])
-            if confidence[k] >= self.certainty and not exceeded:
-                keeping.append(k)
-            elif confidence[k] >= self.certainty and exceeded == {NOISE}:
+            is_certain = confidence[k] >= self.certainty
+            if is_certain and not exceeded:
+                within_limits.append(k)
+            elif is_certain and exceeded == {NOISE}:
                 noises[k] = noise
-        if self.must_be_better:
-            allowed = allowed[ratios[allowed] < 1 - ROUNDING]
-            keeping = [k for k in keeping if ratios[k] < 1 - ROUNDING]
-        candidates = sorted(keeping, key=lambda k: ratios[k])[:COMPARED]
-        if not candidates and allowed.size:
-            candidates = [int(allowed[ratios[allowed].argmin()])]
+        candidates = self._candidates(ratios, allowed, within_limits)
 
         refused = None
         for k in candidates:
@@ -198,12 +214,30 @@ class GainSearch:
             if not comparison.refusals:
                 return ratios, self.flown(comparison), ""
             refused = refused or comparison
+            # The following sets have larger objectives.
             if self.must_be_better and ratios[k] > WORTHWHILE:
                 break
         return ratios, refused, self._offer(sets, ratios, noises)
 
+    def _candidates(
+        self, ratios: Array, allowed: IntArray, within_limits: Sequence[int]
+    ) -> list[int]:
+        """Return the numbers of the sets to compare with all draws, the best one first.
+
+        Without a set within all limits, this is the best of the allowed ones.
+        """
+        if self.must_be_better:
+            allowed = allowed[ratios[allowed] < 1 - ROUNDING]
+            within_limits = [k for k in within_limits if ratios[k] < 1 - ROUNDING]
+        if not within_limits and allowed.size:
+            return [int(allowed[ratios[allowed].argmin()])]
+        return sorted(within_limits, key=lambda k: ratios[k])[:COMPARED]
+
     def _offer(self, sets: Sequence[Values], ratios: Array, noises: Mapping[int, float]) -> str:
-        """Return how much better a set with more noise than the limit is; empty if none is."""
+        """Return a note on the set with the least noise beyond its limit that is worthwhile.
+
+        It is empty if there is none.
+        """
         better = [k for k in noises if ratios[k] <= WORTHWHILE]
         if not better or not self.must_be_better:
             return ""
@@ -217,12 +251,17 @@ class GainSearch:
 
     @property
     def certainty(self) -> float:
-        """The confidence of proposed gains: the whole intervals of the margins are enough."""
+        """The confidence that proposed gains need: the whole intervals meet the requirements."""
         return (1 + self.level) / 2
 
     def _at_the_estimate(self, gains: Values) -> tuple[float, set[str], float]:
-        """Return the objective over today's, which other limits are exceeded, and the noise."""
-        ratio, noise = 0.0, 0.0
+        """Return objective, exceeded limits and noise of the worst flight, without errors.
+
+        Objective and noise are relative to today's. A limit is named by its row, that of noise by
+        `NOISE`.
+        """
+        ratio = 0.0
+        noise = 0.0
         exceeded = set(self._too_far(gains))
         for today in self.todays:
             control = self.laws.linear(gains, today.loops)
@@ -230,23 +269,30 @@ class GainSearch:
             ratio = max(ratio, objective)
             for name, factor in factors.items():
                 is_noise = name.startswith(NOISE)
-                noise = max(noise, factor) if is_noise else noise
+                if is_noise:
+                    noise = max(noise, factor)
                 if not factor <= self._limit(name, float(today.rows[name].values[0])):
                     exceeded.add(NOISE if is_noise else name)
         return ratio, exceeded, noise
 
     def _too_far(self, gains: Values) -> list[str]:
-        """Return which gains change by more than the limit; a gain of zero has no factor."""
+        """Return a refusal for every gain that changes by more than the limit."""
         far = []
         for name, value in gains.items():
             today = self.laws.today[name]
-            factor = math.inf if value * today < 0 else abs(value / today) if value and today else 1
+            if value * today < 0:
+                factor = math.inf
+            elif value and today:
+                factor = abs(value / today)
+            else:
+                # From or to a gain of zero, there is no factor.
+                factor = 1
             if max(factor, 1 / factor) > self.change * (1 + 1e-9):
                 far.append(f"changes {name} by more than a factor of {self.change:g}")
         return far
 
     def _limit(self, name: str, today: float) -> float:
-        """Return the largest factor by which a number may get worse, from its value of today."""
+        """Return the largest factor by which a number may get worse; `today` is today's number."""
         if name.startswith(NOISE):
             return self.noise_factor + ROUNDING
         if name.startswith(PEAK) and self.must_be_better:
@@ -256,13 +302,16 @@ class GainSearch:
         return math.inf
 
     def compared(self, gains: Values) -> GainComparison:
-        """Return gains against today's with all draws, and why they are refused, if they are."""
-        pairs = []
+        """Return the comparison of gains with today's by all draws, with reasons to refuse them."""
+        objectives = []
+        changes_of_flights = []
         for today in self.todays:
             control = self.laws.linear(gains, today.loops)
-            pairs.append(today.changes(control, self.level))
-        objectives, flights = zip(*pairs, strict=True)
-        (objective,), changes = worst_changes([objectives]), worst_changes(flights)
+            objective_of_flight, flight_changes = today.changes(control, self.level)
+            objectives.append(objective_of_flight)
+            changes_of_flights.append(flight_changes)
+        [objective] = worst_changes([objectives])
+        changes = worst_changes(changes_of_flights)
 
         refusals = self._too_far(gains)
         if self.must_be_better and not objective.high <= WORTHWHILE:
@@ -273,26 +322,27 @@ class GainSearch:
             )
         for change in changes:
             limit = self._limit(change.name, change.today)
-            if not (change.worsening <= limit and change.high <= limit):
-                times = number(change.high, 3)
-                refusals.append(
-                    f"may raise the {change.name} by a factor of {times}"
-                    if not math.isnan(change.high)
-                    else f"has a {change.name} that the data do not determine"
-                )
+            if change.worsening <= limit and change.high <= limit:
+                continue
+            if math.isnan(change.high):
+                refusals.append(f"has a {change.name} that the data do not determine")
+            else:
+                factor = number(change.high, 3)
+                refusals.append(f"may raise the {change.name} by a factor of {factor}")
         if not self.confidence(gains) >= self.certainty:
             refusals.append(
                 f"meets the requirements with less than {100 * self.certainty:.4g} % confidence"
             )
+        # The loops of the first flight are for figures, without the plants beside the estimate.
         today = self.todays[0]
         control = self.laws.linear(gains, today.loops)
         drawn = today.loops.of(slice(1 + today.draws))
         return GainComparison(
-            dict(gains),
-            objective,
-            changes,
-            tuple(refusals),
-            self.level,
+            gains=dict(gains),
+            objective=objective,
+            changes=changes,
+            refusals=tuple(refusals),
+            level=self.level,
             loops=replace(drawn, controller=control),
             today_loops=drawn,
             signal=today.broken_at,
@@ -302,7 +352,11 @@ class GainSearch:
         )
 
     def flown(self, comparison: GainComparison) -> GainComparison:
-        """Return a comparison with simulated flights; a part of the way where they are worse."""
+        """Return a comparison with simulated flights.
+
+        If these are worse than with today's gains, gains are tried that are nearer to today's: a
+        part of the way, in equal steps. If none of them is better, the gains are refused.
+        """
         before = self._fly(self.laws.today)
         flights = self._fly(comparison.gains)
         worst = replace(comparison, flights=flights, today_flights=before)
@@ -318,16 +372,23 @@ class GainSearch:
         return replace(worst, refusals=(reason,))
 
     def _fly(self, gains: Values) -> FlightCounts:
+        """Return the counts of simulated flights with these gains, for the draws of all flights."""
         law = self.laws.with_gains(gains)
-        counts = [
-            fly(law, today.loops.of(slice(1, 1 + min(FLIGHTS, today.draws))), self._test(today))
-            for today in self.todays
-        ]
-        return sum(counts[1:], counts[0])
+        counts = []
+        for today in self.todays:
+            # The first plant is the estimate.
+            draws = slice(1, 1 + min(FLIGHTS, today.draws))
+            counts.append(fly(law, today.loops.of(draws), self._test(today)))
+        first, *others = counts
+        return sum(others, first)
 
     def _test(self, today: TodaysLoop) -> FlightTest:
-        """Return a step of the setpoint and a step moment; the step takes as much control."""
-        # Half the horizon each: an oscillation shows within two periods of the crossover.
+        """Return the test: a step of the setpoint, and then a step moment.
+
+        Both take about the same control.
+        """
+        # Each step has half of the horizon: an oscillation shows within two periods of the
+        # crossover.
         samples = min(round(today.horizon / today.loops.period), MOST_SAMPLES)
         name = today.inputs[0]
         steps = {}
@@ -335,7 +396,7 @@ class GainSearch:
             setpoint, response = today.tracking
             omega = np.geomspace(1e-3, 0.9, 200) * math.pi / today.loops.period
             size = float(np.abs(today.loops.first.gains(setpoint, [name], omega)).max())
-            # The setpoint of another axis takes none of this control.
+            # The setpoint of another axis does not move this control.
             if size > 0:
                 steps[setpoint] = (self.moment / size, response)
         steps[name] = (self.moment, today.responses[0])

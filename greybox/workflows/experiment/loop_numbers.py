@@ -11,80 +11,108 @@ from greybox.workflows.experiment.crossings import Located, Numbers, crossings
 from greybox.workflows.experiment.sampled_loop import SampledLoop
 
 POINTS = 400  # in four decades below the Nyquist frequency
-REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
-LARGEST = math.log(1e4)  # gain; the phase of two integrators, near rest, is rounding above it
-LoopNumbers = Callable[[SampledLoop, Array], Numbers]  # at frequencies (n,)
+# Frequency at which a response counts as that at rest, rad per sample; it is exact to ten digits.
+REST = 1e-6
+# Logarithm of the largest gain at which the phase is meaningful: above it, near rest, the phase of
+# two integrators is rounding.
+LARGEST = math.log(1e4)
+# Margins of the gain beyond this many decibels limit no gain.
+FAR = 40.0
+# A function of a loop and frequencies (n,), rad/s, to numbers of every plant.
+LoopNumbers = Callable[[SampledLoop, Array], Numbers]
 
 
 def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
-    """Return the frequencies, in rad/s, at which loops are evaluated before any refinement."""
-    # A loop at 8 kHz, or with a slow integrator, crosses a gain of one much below its rate. There
-    # its response is smooth, and fewer points suffice.
+    """Return the frequencies (n,), rad/s, at which loops are evaluated before any refinement."""
+    # A loop at 8 kHz, or one with a slow integrator, has a crossover far below its rate. Its
+    # response is smooth there, so that fewer points are enough.
     slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
     grid = np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
     poles = np.log(np.linalg.eigvals(loop.A).astype(complex)) / loop.period
     first = poles[0]
-    for pole in first[(first.imag > 0) & (np.abs(first.real) < 0.1 * first.imag)]:
-        # A resonance that is narrower than the spacing, at another frequency in every draw.
-        places = nearest_pole(poles, pole).imag
-        reach = 5 * max(abs(pole.real), 1e-4 * pole.imag)
-        near = np.linspace(places.min() - reach, places.max() + reach, 100)
+    is_light = (first.imag > 0) & (np.abs(first.real) < 0.1 * first.imag)
+    for pole in first[is_light]:
+        # Its resonance is narrower than the spacing of the grid, and at another frequency in every
+        # draw.
+        frequencies = nearest_pole(poles, pole).imag
+        width = 5 * max(abs(pole.real), 1e-4 * pole.imag)
+        near = np.linspace(frequencies.min() - width, frequencies.max() + width, 100)
         grid = np.union1d(grid, np.clip(near, grid[0], grid[-1]))
     return grid
 
 
 def nearest_pole(poles: AnyArray, pole: Any) -> ComplexArray:
-    """Return the pole of each plant (plants, n) that is nearest to another pole."""
-    place = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
-    return np.take_along_axis(poles, place, 1)[:, 0]
+    """Return the pole (plants,) of each plant that is nearest to `pole`.
+
+    `poles` (plants, n) are all poles of the plants.
+    """
+    nearest = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
+    return np.take_along_axis(poles, nearest, 1)[:, 0]
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
-    """Return `numbers` of the first plant, with their frequencies accurate to rounding.
+    """Return numbers of the first plant, at frequencies that are accurate to rounding.
 
-    Points are added, closer and closer, around the frequencies at which quantities occur.
+    Around the frequencies at which the quantities occur, points are added in three rounds, each
+    closer than the last.
     """
-    alone, coarse = loop.first, loop_frequencies(loop)
-    width = math.log(coarse[1] / coarse[0])
-    answer = numbers(alone, coarse)
+    first_loop = loop.first
+    coarse = loop_frequencies(loop)
+    spacing = math.log(coarse[1] / coarse[0])
+    factors = np.linspace(-1.5, 1.5, 61)
+    answer = numbers(first_loop, coarse)
     for _ in range(3):
-        places = np.array([quantity.first[1] for quantity in answer.values()])
-        places = places[np.isfinite(places)]
-        # A phase delay takes the phase at twice its frequency, too.
-        near = np.outer([*places, *(2 * places)], np.exp(np.linspace(-1.5, 1.5, 61) * width))
+        frequencies = np.array([quantity.first[1] for quantity in answer.values()])
+        frequencies = frequencies[np.isfinite(frequencies)]
+        # A phase delay also depends on the phase at twice its frequency.
+        centers = [*frequencies, *(2 * frequencies)]
+        near = np.outer(centers, np.exp(factors * spacing))
         omega = np.unique([*coarse, *near.ravel()])
-        answer = numbers(alone, omega[(omega >= coarse[0]) & (omega <= coarse[-1])])
-        width /= 20  # the straight lines between points leave 0.001 of a spacing of 0.05 widths
+        answer = numbers(first_loop, omega[(omega >= coarse[0]) & (omega <= coarse[-1])])
+        # The new points are a twentieth of the spacing apart, and interpolation between them has an
+        # error of a thousandth of that.
+        spacing /= 20
     return answer
 
 
-@np.errstate(all="ignore")  # a plant without gain is at minus infinity
+# The logarithm of a plant without gain is minus infinity.
+@np.errstate(all="ignore")
 def margin_numbers(
     gain: ComplexArray, omega: Array, *, is_stable: BoolArray | bool = True, period: float = 0.0
 ) -> Numbers:
-    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,).
+    """Return the margins of broken loops.
 
-    With the `period` of a sampled loop, `omega` ends near rest and the Nyquist frequency, where its
-    gain is real.
+    Parameters
+    ----------
+    gain : (plants, n) array of complex
+        Gains of the loops, with the sign of negative feedback.
+    omega : (n,) array, rad/s
+    is_stable : (plants,) array of bool or bool
+        Whether the closed loops are stable.
+    period : float, s
+        That of a sampled loop, whose frequencies reach from near rest to near the Nyquist
+        frequency. The gain is real at both.
     """
     if period:
         gain, omega = _mirrored(gain, omega, period)
-    size, phase = np.log(np.abs(gain)), np.unwrap(np.angle(gain), axis=1)
+    size = np.log(np.abs(gain))
+    phase = np.unwrap(np.angle(gain), axis=1)
 
-    # Where the gain is one, and how far the phase is from -180 degrees there.
+    # The frequencies at which the gain is one, and the distance of the phase from -180 degrees.
     unity = crossings(size, omega)
     lag = np.mod(unity.between(phase) + math.pi, math.tau)
     angle = np.degrees(np.minimum(lag, math.tau - lag))
 
-    # Where the gain is real and negative.
+    # The frequencies at which the gain is real and negative.
     real = crossings(gain.imag, omega)
     real = real.where((real.between(gain.real) < 0) & (real.between(size) < LARGEST))
     decibels = -20 / math.log(10) * real.between(size)
+    is_near = np.abs(decibels) < FAR
 
-    is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
-
+    # The distance from the critical point, which is one over the sensitivity.
     distance = np.abs(1 + gain)
-    least, closest = distance.min(axis=1), np.abs(omega[distance.argmin(axis=1)])
+    least = distance.min(axis=1)
+    closest = np.abs(omega[distance.argmin(axis=1)])
     margins = {
         "phase margin": unity.smallest(angle),
         "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
@@ -92,10 +120,12 @@ def margin_numbers(
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
-    # An unstable loop has no margin left.
-    answer = {n: Located(np.where(is_stable, m.value, 0.0), m.omega) for n, m in margins.items()}
+    # The margins of an unstable loop are zero.
+    answer = {}
+    for name, margin in margins.items():
+        answer[name] = Located(np.where(is_stable, margin.value, 0.0), margin.omega)
 
-    # A loop whose sensitivity at rest is above -3 dB rejects nothing.
+    # If the sensitivity at rest is above -3 dB, the loop rejects no disturbance.
     rejects = crossings(distance - math.sqrt(2), omega).first
     rejection = np.where(distance[:, 0] > math.sqrt(2), rejects.value, 0.0)
     return {
@@ -109,13 +139,15 @@ def margin_numbers(
 
 
 def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexArray, Array]:
-    """Return gains and frequencies with their images beyond rest and the Nyquist frequency.
+    """Return gains and frequencies with one more point beyond rest and the Nyquist frequency.
 
-    The gain passes into its conjugate at both. The gain of an integrator is imaginary near rest and
-    does not cross the real axis there.
+    Beyond both, the gain is the conjugate of its mirror image, so that crossings of the real axis
+    there are found. The gain of an integrator is imaginary near rest, and does not cross the real
+    axis there.
     """
-    first, last = gain[:, :1], gain[:, -1:]
+    first = gain[:, :1]
+    last = gain[:, -1:]
     is_integrator = np.abs(first.imag) > np.abs(first.real)
     before = np.where(is_integrator, first, first.conj())
-    at = np.r_[-omega[0], omega, math.tau / period - omega[-1]]
-    return np.hstack([before, gain, last.conj()]), at
+    frequencies = np.r_[-omega[0], omega, math.tau / period - omega[-1]]
+    return np.hstack([before, gain, last.conj()]), frequencies

@@ -14,6 +14,7 @@ from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.workflows.experiment.drawn_loops import DRAWN
@@ -75,6 +76,7 @@ class Margin:
     group: str = ""
 
 
+@public
 @frozen
 class Margins(Printed):
     """The margins of a loop broken at one signal. It prints itself, the verdict first.
@@ -209,6 +211,7 @@ class Margins(Printed):
         return all(m.omega != margin.omega or abs(m.value) != abs(margin.value) for m in main)
 
 
+@public
 def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
     """Return a table of the main margins of loops with labels, such as operating points."""
     rows = []

@@ -15,6 +15,7 @@ from greybox.assessment.response_band import require_level
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
+from greybox.data.files.public import public
 from greybox.data.files.wording import listed
 from greybox.data.frequency_band import number_pair
 from greybox.data.frequency_response import FrequencyResponse
@@ -39,6 +40,7 @@ from greybox.workflows.experiment.sampled_loop import DOT
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
+@public
 def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
     controller: Controllers | None = None,

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from greybox.data.files.arrays import Array, IntArray
+from greybox.data.files.public import public
 from greybox.workflows.experiment.excitation import Excitation, Maneuver, checked_band, round_up
 
 
+@public
 def multisine(
     low: float,
     high: float,

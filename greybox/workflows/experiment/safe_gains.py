@@ -21,6 +21,7 @@ from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import NOTHING, Values, attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import listed
 from greybox.data.frequency_band import number_pair
@@ -48,6 +49,7 @@ PROMISE = (
 )
 
 
+@public
 @frozen
 class SafeGains(Printed):
     """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
@@ -238,6 +240,7 @@ def _capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
+@public
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Fits,
     controller: Controllers,
@@ -331,6 +334,16 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     ValueError
         For gains that no controller has, ranges that are not increasing, or what `greybox.margins`
         refuses.
+
+    Examples
+    --------
+    >>> from greybox.models.controller import AttitudeController
+    >>> from greybox.problems import sitl_pitch
+    >>> fit = gb.fit(sitl_pitch.problem(), starts=3)
+    >>> flown = AttitudeController({"K_P": 0.12}, rate=400, signals={"q": "theta_dot"})
+    >>> safe = gb.safe_gains(fit, flown, ["K_P"])  # doctest: +SKIP
+    >>> safe.best or "keep today's gains"  # doctest: +SKIP
+    "keep today's gains"
     """
     require_level(level)
     flights = checked_items("a flight", fits, Fit, "the fit of a flight, or several")

@@ -1,8 +1,8 @@
 """The loop of a plant and its sampled controllers as linear equations from one sample to the next.
 
-Begin with `sampled_loop`. The plant is exact between samples: its control is held, and arrives
-after a delay of any fraction of a sample. A loop holds many plants at once, one for each draw of
-the parameters.
+Begin with `sampled_loop`. The equations are exact, because the control is held between samples; its
+delay may be any fraction of a sample. A loop contains many plants, one for each draw of the
+parameters.
 """
 
 from collections.abc import Sequence
@@ -34,13 +34,14 @@ from greybox.workflows.experiment.controller import (
     sensors_of,
 )
 
-DOT = "_dot"  # after the name of a signal: its derivative in time
+DOT = "_dot"  # suffix for the derivative in time of a signal
 
 
 class LinearController(NamedTuple):
-    """``x+ = F x + G (y, e)``, ``commands = H x + J (y, e)``: all controllers of a loop.
+    """All controllers of a loop: ``x+ = F x + G (y, e)``, ``commands = H x + J (y, e)``.
 
-    `y` is what they measure, `e` what is added to each command: a setpoint, or a control.
+    `y` are the measured signals. Commands are setpoints and controls, and `e` has an addition to
+    each of them.
     """
 
     commands: tuple[str, ...]
@@ -60,14 +61,18 @@ class LinearController(NamedTuple):
 class SampledLoop:
     """Many plants, each in a loop with the same controllers.
 
-    The control of sample k reaches the plant between ``whole`` and ``whole + 1`` samples later:
-    ``x[k+1] = A x[k] + late u[k-whole] + early u[k-whole-1]``, ``y[k] = C x[k] + D u[k-whole-1]``.
+    Let d be the whole samples in the delay of an input. Then
+    ``x[k+1] = A x[k] + late u[k-d] + early u[k-d-1]`` and ``y[k] = C x[k] + D u[k-d-1]``: the older
+    control acts first, until the fraction of the delay has passed.
 
     Attributes
     ----------
     inputs, sensors : tuple of str
-        Inputs of the plant, and what is measured.
-    A, early, late, C, D : arrays (plants, ...)
+        Inputs of the plant, and measured signals.
+    A : (plants, n, n) array
+    early, late : (plants, n, inputs) arrays
+    C : (plants, sensors, n) array
+    D : (plants, sensors, inputs) array
     whole : (plants, inputs) array
         Whole samples in the delay of each input.
     controller : LinearController
@@ -92,12 +97,19 @@ class SampledLoop:
 
     def of(self, plants: slice | IntArray) -> "SampledLoop":
         """Return the loops of some of the plants."""
-        arrays = ("A", "early", "late", "C", "D", "whole")
-        return replace(self, **{name: getattr(self, name)[plants] for name in arrays})
+        return replace(
+            self,
+            A=self.A[plants],
+            early=self.early[plants],
+            late=self.late[plants],
+            C=self.C[plants],
+            D=self.D[plants],
+            whole=self.whole[plants],
+        )
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """What is measured and what is commanded."""
+        """All measured and commanded signals."""
         return (*self.sensors, *self.controller.commands)
 
     def plant_response(self, omega: Array) -> ComplexArray:
@@ -117,11 +129,22 @@ class SampledLoop:
         omega: ArrayLike,
         plant: ComplexArray | None = None,
     ) -> ComplexArray:
-        """Return the gains (plants, n, signals) of the closed loop from an addition to one signal.
+        """Return the gains of the closed loop from an addition to one signal.
 
-        `added_to` and `signals` are inputs of the plant, setpoints or outputs of controllers, or
-        measured signals; the added signal is part of the signal that it is added to. `plant` may
-        replace `plant_response(omega)`.
+        Parameters
+        ----------
+        added_to : str
+            Input of the plant, setpoint or output of a controller, or measured signal. This signal
+            includes the addition.
+        signals : sequence of str
+            Signals of the same kinds.
+        omega : (n,) array, rad/s
+        plant : (plants, n, sensors, inputs) array, optional
+            `plant_response(omega)`, if it is known.
+
+        Returns
+        -------
+        (plants, n, signals) array of complex
 
         Raises
         ------
@@ -132,34 +155,40 @@ class SampledLoop:
         require_known((added_to, *signals), names, "signal", "the loop")
 
         omega = finite_numbers("omega", omega)
-        plant = self.plant_response(omega) if plant is None else plant
+        if plant is None:
+            plant = self.plant_response(omega)
         control = self.controller.response(np.exp(1j * omega * self.period))
         k = len(self.sensors)
-        feedback, commanded = control[..., :k], control[..., k:]
+        feedback = control[..., :k]
+        by_command = control[..., k:]
         rows = places_of(self.inputs, self.controller.commands)
 
-        # u = feedback y + command and y = plant u + error; one of command and error is added
+        # u = feedback y + command and y = plant u + error. The addition is one of the last two.
         error = np.zeros((k, 1))
         command = np.zeros((len(omega), len(names) - k, 1))
         if added_to in self.sensors:
             error[self.sensors.index(added_to)] = 1
         else:
-            command = commanded[..., [self.controller.commands.index(added_to)]]
-        # There are fewer inputs than outputs, and a single input needs no matrix.
+            command = by_command[..., [self.controller.commands.index(added_to)]]
+        # Solved for the part of u that is fed back: there are fewer inputs than outputs, and a
+        # single input needs no system of equations.
         open_loop = plant @ command[:, rows] + error
-        around = np.eye(len(rows)) - feedback[:, rows] @ plant
-        inner = feedback[:, rows] @ open_loop
-        inner = inner / around if len(rows) == 1 else np.linalg.solve(around, inner)
-        measured = open_loop + plant @ inner
-        every = np.concatenate([measured, feedback @ measured + command], axis=2)
-        return every[..., places_of(signals, names), 0].astype(complex)
+        difference = np.eye(len(rows)) - feedback[:, rows] @ plant
+        fed_back = feedback[:, rows] @ open_loop
+        if len(rows) == 1:
+            fed_back = fed_back / difference
+        else:
+            fed_back = np.linalg.solve(difference, fed_back)
+        measured = open_loop + plant @ fed_back
+        all_signals = np.concatenate([measured, feedback @ measured + command], axis=2)
+        return all_signals[..., places_of(signals, names), 0].astype(complex)
 
     def broken_at(
         self, signal: str, omega: ArrayLike, plant: ComplexArray | None = None
     ) -> ComplexArray:
-        """Return the gain (plants, n) of the loop broken at a signal, with every other loop closed.
+        """Return the gain (plants, n) of the loop broken at a signal, with all other loops closed.
 
-        It is that of negative feedback, so that -1 is the critical point.
+        Its sign is that of negative feedback, so that -1 is the critical point.
 
         Raises
         ------
@@ -169,18 +198,27 @@ class SampledLoop:
         if self.inputs != (signal,):
             return 1 / self.gains(signal, [signal], omega, plant)[..., 0] - 1
 
-        # The loop of a single control is the product of plant and controllers: a third of the time.
+        # The loop of a single control is the product of plant and controllers, which takes a third
+        # of the time.
         omega = finite_numbers("omega", omega)
-        plant = self.plant_response(omega) if plant is None else plant
+        if plant is None:
+            plant = self.plant_response(omega)
         control = self.controller.response(np.exp(1j * omega * self.period))
         feedback = control[:, self.controller.commands.index(signal), : len(self.sensors)]
         return -np.einsum("ns,pns->pn", feedback, plant[..., 0]).astype(complex)
 
     def closed(self, added_to: str, signal: str) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C, D (plants, ...) of the closed loops from an addition to a signal.
+        """Return A, B, C and D of the closed loops from an addition to a signal.
 
         ``x[k+1] = A x[k] + B e[k]`` and ``signal[k] = C x[k] + D e[k]``, where `e` is added to a
-        command, or to what the controllers read of a measured signal.
+        command, or to the value of a measured signal that the controllers read.
+
+        Returns
+        -------
+        A : (plants, n, n) array
+            The n states are those of plant and controllers, and past controls.
+        B, C : (plants, n) arrays
+        D : (plants,) array
 
         Raises
         ------
@@ -194,45 +232,49 @@ class SampledLoop:
         rows = places_of(self.inputs, commands)
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
-        length = int(self.whole.max()) + 1  # past controls that have not yet reached some plant
-        size = n + len(F) + m * length
-
-        # The last column is the addition. The newest past control of an input is its first one.
-        unit, controls = np.eye(size + 1), n + len(F)
+        # Past controls of an input that have not reached the plant yet.
+        length = int(self.whole.max()) + 1
+        # The vector has the states of the plant, those of the controllers, the past controls of
+        # each input with the newest one first, and the addition. Signals are rows that multiply it.
+        controls = n + len(F)
+        size = controls + m * length
+        unit = np.eye(size + 1)
         newest = controls + length * np.arange(m)
-        earlier = unit[newest + self.whole]  # u[k-whole-1]
+        older_control = unit[newest + self.whole]  # u[k-d-1]
 
-        y = self.D @ earlier
+        y = self.D @ older_control
         y[:, :, :n] += self.C
         total = J[:, : len(sensors)] @ y
         total[:, :, n:controls] += H
         total[:, :, -1] += J[:, added]
         u = total[:, rows]
-        arriving = np.where(self.whole[:, :, None] > 0, unit[newest + self.whole - 1], u)
+        newer_control = np.where(self.whole[:, :, None] > 0, unit[newest + self.whole - 1], u)
 
-        following = np.zeros((plants, size, size + 1))
-        following[:, :n] = self.late @ arriving + self.early @ earlier
-        following[:, :n, :n] += self.A
-        following[:, n:controls] = G[:, : len(sensors)] @ y
-        following[:, n:controls, n:controls] += F
-        following[:, n:controls, -1] += G[:, added]
-        # Every past control becomes the next older one.
-        following[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
-        following[:, newest] = u
-        read = np.hstack([y, total])[:, self.signals.index(signal)]
+        # The states at the next sample.
+        next_states = np.zeros((plants, size, size + 1))
+        next_states[:, :n] = self.late @ newer_control + self.early @ older_control
+        next_states[:, :n, :n] += self.A
+        next_states[:, n:controls] = G[:, : len(sensors)] @ y
+        next_states[:, n:controls, n:controls] += F
+        next_states[:, n:controls, -1] += G[:, added]
+        # Every past control becomes the next older one, and the control of this sample the newest.
+        next_states[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
+        next_states[:, newest] = u
+        row = np.hstack([y, total])[:, self.signals.index(signal)]
         if signal == added_to and signal in sensors:
-            read[:, -1] += 1
-        return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
+            row[:, -1] += 1
+        return next_states[..., :-1], next_states[..., -1], row[:, :-1], row[:, -1]
 
     @cached_property
     def poles(self) -> ComplexArray:
         """The poles (plants, states) of the closed loops, in z."""
-        return np.linalg.eigvals(self.closed(self.inputs[0], self.inputs[0])[0]).astype(complex)
+        A, *_ = self.closed(self.inputs[0], self.inputs[0])
+        return np.linalg.eigvals(A).astype(complex)
 
     @property
     def is_stable(self) -> BoolArray:
-        """Whether no signal grows in each closed loop, (plants,)."""
-        # A pole at one, such as that of a position that no controller holds, is one to rounding.
+        """Whether each closed loop is stable, (plants,): no signal grows."""
+        # The pole of a position that no controller holds is one, apart from rounding.
         return np.abs(self.poles).max(axis=1) < 1 + 1e-7
 
 
@@ -246,12 +288,22 @@ def sampled_loop(
     rate: float | None = None,
     has_hold: bool = False,
 ) -> SampledLoop:
-    """Return loops of a model with each row of `values` (plants, parameters), linearized at `at`.
+    """Return the loops of a model with each row of values.
 
-    The delay of a response that was measured from logged controls contains the half sample by which
-    a held control is late; say so by `has_hold`, and it is not counted twice. `measured`
-    are signals in addition to the outputs and what the controllers measure. Without a controller,
-    give the `rate` at which the control changes.
+    Parameters
+    ----------
+    model : Model
+    values : (plants, parameters) array
+    controller : Controller or sequence of Controller or None
+    at : mapping of name to float, optional
+        The operating point at which the model is linearized.
+    measured : sequence of str
+        Signals in addition to the outputs and the signals that the controllers measure.
+    rate : float, Hz, optional
+        The rate at which the control changes; required without a controller.
+    has_hold : bool
+        Whether the delays of the model contain the half sample by which a held control is late, as
+        in a response that was measured from logged controls. It is then subtracted.
 
     Raises
     ------
@@ -264,38 +316,36 @@ def sampled_loop(
     if not clock:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     commands = {*system.inputs, *outside_names(controllers, "setpoints", "outputs")}
-    sensors = unique(
-        (*sensors_of(controllers), *system.outputs, *(n for n in measured if n not in commands))
-    )
+    others = [name for name in measured if name not in commands]
+    sensors = unique((*sensors_of(controllers), *system.outputs, *others))
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
     period = 1 / clock
     if has_hold:
         delay = np.maximum(delay - period / 2, 0)
-    whole, part = in_periods(delay, period, system.inputs)
+    whole, fraction = in_periods(delay, period, system.inputs)
 
-    # Before a control arrives the one before it acts: exp(A t) and its integral.
+    # Each sample has two parts: the older control acts until the fraction of the delay has passed,
+    # and the newer one afterwards. Every input has its own delay, and so its own parts.
     columns = B.mT[..., None]
-    alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
-    before, first = held_response(alike, columns, part * period)
-    decay, second = held_response(alike, columns, (1 - part) * period)
-    transition = (decay @ before)[:, 0]
-    early, late = (block[..., 0].mT for block in (decay @ first, second))
+    A_of_inputs = np.repeat(A[:, None], B.shape[2], axis=1)
+    first_decay, first_response = held_response(A_of_inputs, columns, fraction * period)
+    decay, response = held_response(A_of_inputs, columns, (1 - fraction) * period)
     return SampledLoop(
-        system.inputs,
-        sensors,
-        transition,
-        early,
-        late,
-        C,
-        D,
-        whole,
-        linear_controller(controllers, sensors, system.inputs),
-        period,
+        inputs=system.inputs,
+        sensors=sensors,
+        A=(decay @ first_decay)[:, 0],
+        early=(decay @ first_response)[..., 0].mT,
+        late=response[..., 0].mT,
+        C=C,
+        D=D,
+        whole=whole,
+        controller=linear_controller(controllers, sensors, system.inputs),
+        period=period,
     )
 
 
 def in_periods(delay: Array, period: float, inputs: tuple[str, ...]) -> tuple[IntArray, Array]:
-    """Return whole periods in delays (..., inputs), s, and the remaining fractions of a period.
+    """Return the whole periods in delays (..., inputs), s, and the remaining fractions of a period.
 
     Raises
     ------
@@ -306,33 +356,38 @@ def in_periods(delay: Array, period: float, inputs: tuple[str, ...]) -> tuple[In
     if wrong.size:
         name, value = inputs[wrong[0, -1]], delay[tuple(wrong[0])]
         raise ValueError(f"the delay of {name!r} is {value:g} s: give a value of 0 or more.")
-    # A delay of whole periods must not become one period less and a fraction by rounding.
+    # By rounding, a delay of whole periods must not become one period less and a fraction of nearly
+    # one.
     whole = np.floor(delay / period + 1e-9).astype(int)
-    part = delay / period - whole
-    return whole, np.where(part > 1e-9, part, 0.0)
+    fraction = delay / period - whole
+    return whole, np.where(fraction > 1e-9, fraction, 0.0)
 
 
 @one_thread_at_a_time
 def _plants(
     model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Values
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
+    """Return A, B, C and D of the plants, (plants, ...) each, and their delays (plants, inputs).
+
+    C and D are those of the sensors.
+    """
     x, u, p = system.symbols
     f = system.derivative(x, u, p)
     y = ca.vertcat(*[measured_signal(model.label, system, name, x, u, p) for name in sensors])
-    jacobians = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
+    jacobians = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(y, x), ca.jacobian(y, u)]
     matrices = ca.Function("plant", [p, x, u], [*jacobians, system.delay(p)])
     q = ca.MX.sym("p", p.numel())
     states, inputs = trim_of(model, at).closed().call([q])
     # A realized transfer function has states that the model does not declare.
     states = ca.vertcat(states, ca.DM.zeros(x.numel() - states.numel()))
     plant = ca.Function("plant", [q], matrices.call([q, states, inputs]))
-    # One mapped call for all plants: a call for each takes a quarter of the time of margins.
+    # One call for all plants. A call for each would take a quarter of the time of margins.
     count = len(values)
-    A, B, C, D, delay = (
-        block.full().reshape(block.shape[0], count, -1).swapaxes(0, 1)
-        for block in plant.map(count).call([ca.DM(values.T)])
-    )
+    blocks = []
+    for block in plant.map(count).call([ca.DM(values.T)]):
+        # The matrices of all plants stand side by side.
+        blocks.append(block.full().reshape(block.shape[0], count, -1).swapaxes(0, 1))
+    A, B, C, D, delay = blocks
     return A, B, C, D, delay[:, :, 0]
 
 
@@ -350,8 +405,11 @@ def measured_signal(
     for names, values in ((system.outputs, system.output(x, u, p)), (system.states, x)):
         if name in names:
             return values[names.index(name)]
-        if stem in names and not ca.depends_on(value := values[names.index(stem)], u):
-            return ca.jacobian(value, x) @ system.derivative(x, u, p)
+        if stem in names:
+            value = values[names.index(stem)]
+            # Otherwise the derivative contains that of the input.
+            if not ca.depends_on(value, u):
+                return ca.jacobian(value, x) @ system.derivative(x, u, p)
     known = unique((*system.outputs, *system.states))
     raise ValueError(
         f"{label} has no {name!r} to measure; it has {', '.join(known)} and their time "
@@ -363,14 +421,22 @@ def measured_signal(
 class ControllerFormulas(NamedTuple):
     """A chain of controllers as expressions.
 
-    Their `states`, what they measure and what is added to their commands (`inputs`), the states
-    after the sample (`following`), and the `total` of every command.
+    Attributes
+    ----------
+    commands : tuple of str
+        Names of the commands: setpoints and controls.
+    states : (n,) symbols
+    inputs : (sensors + commands,) symbols
+        The measured signals, and an addition to every command.
+    next_states : (n,) expression
+    total : (commands,) expression
+        The commands, with their additions.
     """
 
     commands: tuple[str, ...]
     states: ca.SX
     inputs: ca.SX
-    following: ca.SX
+    next_states: ca.SX
     total: ca.SX
 
 
@@ -384,17 +450,18 @@ def controller_formulas(
     y = ca.SX.sym("y", len(sensors))
     e = ca.SX.sym("e", len(commands))
     added = entries_by_name(commands, e)
-    memory = [ca.SX.sym("x", len(c.states)) for c in controllers]
+    memory = [ca.SX.sym("x", len(controller.states)) for controller in controllers]
 
+    # `run_controllers` adds the outputs to the signals.
     signals = dict(added)
-    following = run_controllers(controllers, memory, entries_by_name(sensors, y), signals, added)
+    next_states = run_controllers(controllers, memory, entries_by_name(sensors, y), signals, added)
     total = ca.vertcat(*[signals[name] for name in commands])
     return ControllerFormulas(
-        commands,
-        ca.SX(ca.vertcat(*memory)),
-        ca.vertcat(y, e),
-        ca.SX(ca.vertcat(*following)),
-        ca.SX(total),
+        commands=commands,
+        states=ca.SX(ca.vertcat(*memory)),
+        inputs=ca.vertcat(y, e),
+        next_states=ca.SX(ca.vertcat(*next_states)),
+        total=ca.SX(total),
     )
 
 
@@ -402,9 +469,17 @@ def controller_formulas(
 def linear_controller(
     controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
 ) -> LinearController:
-    """Linearize the chain of controllers about their initial states and signals of zero."""
-    commands, x, v, following, total = controller_formulas(controllers, sensors, inputs)
-    blocks = [ca.jacobian(f, z) for f in (following, total) for z in (x, v)]
-    initial = [value for c in controllers for value in c.initial]
-    numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
-    return LinearController(commands, *[matrix.full() for matrix in numbers])
+    """Return the chain of controllers, linearized at their initial states and signals of zero."""
+    commands, x, v, next_states, total = controller_formulas(controllers, sensors, inputs)
+    jacobians = [
+        ca.jacobian(next_states, x),
+        ca.jacobian(next_states, v),
+        ca.jacobian(total, x),
+        ca.jacobian(total, v),
+    ]
+    initial: list[float] = []
+    for controller in controllers:
+        initial += controller.initial
+    matrices = ca.Function("controller", [x, v], jacobians)(initial, np.zeros(v.numel()))
+    F, G, H, J = (matrix.full() for matrix in matrices)
+    return LinearController(commands, F, G, H, J)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.data.files.delimited_text import write_delimited
+from greybox.data.files.public import public
 from greybox.data.headings import BETWEEN
 from greybox.data.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.data.record import Record
@@ -90,6 +91,7 @@ return update, 1000
 """
 
 
+@public
 def write_excitation(excitation: Record, path: str | Path) -> None:
     """Write a test signal, or another record, to a CSV file, atomically.
 
@@ -112,6 +114,7 @@ def write_excitation(excitation: Record, path: str | Path) -> None:
     write_delimited(Path(path), {}, columns)
 
 
+@public
 def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
     """Return a Lua script that flies a sine schedule with a copter.
 
@@ -159,6 +162,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
     return f"-- Sine test on {axis}, made by greybox. {excitation}\n{settings}{_SINE_TEST}"
 
 
+@public
 def systemid_parameters(excitation: Excitation, axis: str) -> str:
     """Return a parameter file that makes ArduPilot's SystemID mode fly this sweep.
 

@@ -23,24 +23,28 @@ from greybox.workflows.experiment.sampled_loop import (
 )
 
 FLIGHTS = 200
-MOST_SAMPLES = 4000  # of a flight; each takes half a millisecond for all flights
-LIMITED = 0.05  # of the largest control: by so much it differs from that without limits
+# Most samples of a flight. Each takes half a millisecond for all flights.
+MOST_SAMPLES = 4000
+# A control saturates if it differs from that without limits by this share of the largest control.
+LIMITED = 0.05
+# Oscillations with a smaller damping ratio ring.
 LOWEST_DAMPING = 0.2
-# Of successive swings of an oscillation with this damping
+# Ratio of successive swings of an oscillation with this damping.
 RATIO = math.exp(-math.pi * LOWEST_DAMPING / math.sqrt(1 - LOWEST_DAMPING**2))
-VISIBLE = 0.1  # smallest swing that counts, over the largest one
+# Smallest swing that counts, as a share of the range of the response.
+VISIBLE = 0.1
 
 
 @frozen
 class FlightTest:
-    """What is flown: a step of a setpoint, then a step moment, with noise of the sensors.
+    """A test in which signals change by a step, one after the other, with noise of the sensors.
 
     Attributes
     ----------
     samples : int
-        They are shared equally by the steps.
+        Number of samples, divided equally between the steps.
     steps : mapping of signal to (float, str)
-        The size of each step, and the signal that responds to it; the first at the beginning.
+        The size of each step, and the signal whose response is judged.
     noise : mapping of signal to float
         Standard deviation of the white noise of a sensor.
     """
@@ -52,12 +56,15 @@ class FlightTest:
 
 @dataclass(frozen=True)
 class FlightCounts:
-    """How many of several simulated flights reach a limit or ring.
+    """Numbers of simulated flights, and of those that reach a limit or ring.
 
     Attributes
     ----------
-    flights, saturating, ringing : int
-        Ringing has a damping ratio below 0.2.
+    flights : int
+    saturating : int
+        Flights in which a control reaches a limit.
+    ringing : int
+        Flights with an oscillation whose damping ratio is below 0.2.
     """
 
     flights: int
@@ -86,15 +93,15 @@ class FlightCounts:
 def fly(
     controllers: Sequence[Controller], loops: SampledLoop, test: FlightTest, seed: int = 0
 ) -> FlightCounts:
-    """Fly each plant of a loop with these controllers, and count what saturates and rings.
+    """Fly each plant of a loop with these controllers; count flights that saturate or ring.
 
-    The noise of a flight is the same for any gains.
+    With the same `seed`, flights have the same noise whatever the gains are.
     """
     control, unlimited, _ = simulated(controllers, loops, test, seed)
     size = np.abs(unlimited).max(axis=2, keepdims=True)
     is_limited = (np.abs(control - unlimited) > LIMITED * size).any(axis=(1, 2))
 
-    # Noise swings, too: whether a loop rings is seen without it.
+    # Ringing is judged in flights without noise, which itself swings.
     *_, responses = simulated(controllers, loops, replace(test, noise={}), seed)
     share = test.samples // len(test.steps)
     rings = np.zeros(len(responses), dtype=bool)
@@ -104,14 +111,20 @@ def fly(
     return FlightCounts(len(responses), int(is_limited.sum()), int(rings.sum()))
 
 
-@np.errstate(all="ignore")  # unstable loops
+# Signals of unstable loops overflow.
+@np.errstate(all="ignore")
 def simulated(
     controllers: Sequence[Controller], loops: SampledLoop, test: FlightTest, seed: int = 0
 ) -> tuple[Array, Array, Array]:
-    """Return the controls (plants, inputs, n), those of laws without limits, and the responses.
+    """Return the controls, the controls without limits, and the responses of all flights.
 
-    The responses (plants, sensors, n) are without noise. A law without limits has the same states
-    as the controllers that fly, and is linear.
+    Returns
+    -------
+    controls : (plants, inputs, samples) array
+    unlimited : (plants, inputs, samples) array
+        Those of the linearized controllers at the same states and measurements.
+    responses : (plants, sensors, samples) array
+        The measured signals, without noise.
     """
     plants, inputs = len(loops.A), loops.inputs
     law, unlimited, memory = _compiled(controllers, loops, plants)
@@ -125,28 +138,32 @@ def simulated(
     random = np.random.default_rng(seed)
 
     state = np.zeros(loops.A.shape[:2])
-    # The newest past control is the first one.
+    # Past controls of every plant and input, the newest one first.
     past = np.zeros((plants, len(inputs), int(loops.whole.max()) + 1))
-    everyone, each = np.arange(plants)[:, None], np.arange(len(inputs))
-    controls, free, responses = [], [], []
+    plant_index = np.arange(plants)[:, None]
+    input_index = np.arange(len(inputs))
+    controls = []
+    unlimited_controls = []
+    responses = []
     for k in range(test.samples):
-        earlier = past[everyone, each, loops.whole]
+        # The older control acts until the fraction of the delay has passed.
+        earlier = past[plant_index, input_index, loops.whole]
         y = (loops.C @ state[..., None] + loops.D @ earlier[..., None])[..., 0]
         noise = random.standard_normal(y.shape) * deviations
         column = np.vstack([(y + noise).T, np.repeat(added[:, k : k + 1], plants, axis=1)])
-        without = np.asarray(unlimited(memory, column))[rows].T
+        u_unlimited = np.asarray(unlimited(memory, column))[rows].T
         memory, total = law(memory, column)
         u = np.asarray(total)[rows].T
-        late = np.where(loops.whole > 0, past[everyone, each, loops.whole - 1], u)
+        late = np.where(loops.whole > 0, past[plant_index, input_index, loops.whole - 1], u)
         driven = loops.late @ late[..., None] + loops.early @ earlier[..., None]
         state = (loops.A @ state[..., None] + driven)[..., 0]
         past = np.concatenate([u[..., None], past[..., :-1]], axis=2)
         controls.append(u)
-        free.append(without)
+        unlimited_controls.append(u_unlimited)
         responses.append(y)
     return (
         np.stack(controls, axis=-1),
-        np.stack(free, axis=-1),
+        np.stack(unlimited_controls, axis=-1),
         np.stack(responses, axis=-1),
     )
 
@@ -155,36 +172,42 @@ def simulated(
 def _compiled(
     controllers: Sequence[Controller], loops: SampledLoop, plants: int
 ) -> tuple[ca.Function, ca.Function, ca.DM]:
-    """Return the law and its linear part for all plants, and the initial states."""
+    """Return the controllers and their linearization for all plants, and the initial states.
+
+    The first function is (states, inputs) -> (next states, commands), the second one
+    (states, inputs) -> commands; the initial states are (n, plants).
+    """
     formulas = controller_formulas(controllers, loops.sensors, loops.inputs)
-    initial = ca.DM([value for c in controllers for value in c.initial])
-    x, v = formulas.states, formulas.inputs
-    law = ca.Function("law", [x, v], [formulas.following, formulas.total])
-    about = ca.Function("blocks", [x, v], [formulas.total, *_gradients(formulas.total, x, v)])
-    total, by_state, by_input = about(initial, ca.DM.zeros(v.numel()))
+    initial_values: list[float] = []
+    for controller in controllers:
+        initial_values += controller.initial
+    initial = ca.DM(initial_values)
+    x, v, commands = formulas.states, formulas.inputs, formulas.total
+    law = ca.Function("law", [x, v], [formulas.next_states, commands])
+    slopes = [ca.jacobian(commands, x), ca.jacobian(commands, v)]
+    linearization = ca.Function("blocks", [x, v], [commands, *slopes])
+    total, by_state, by_input = linearization(initial, ca.DM.zeros(v.numel()))
     linear = total + by_state @ (x - initial) + by_input @ v
     unlimited = ca.Function("unlimited", [x, v], [linear])
     return law.map(plants), unlimited.map(plants), ca.repmat(initial, 1, plants)
 
 
-def _gradients(expression: ca.SX, *variables: ca.SX) -> list[ca.SX]:
-    return [ca.jacobian(expression, variable) for variable in variables]
-
-
 def is_ringing(response: Array) -> bool:
-    """Return whether swings of a response (n,) to a step decay too slowly.
+    """Return whether the swings of a response (n,) to a step decay too slowly.
 
-    The first swing, from rest to the first peak, is not part of the oscillation: a moment moves the
-    vehicle there and back however well the loop is damped.
+    The first swing, from rest to the first peak, does not count: a moment moves the vehicle there
+    and back, however well the loop is damped.
     """
     from scipy.signal import find_peaks  # noqa: PLC0415  (takes a tenth of a second to import)
 
     if not np.isfinite(response).all():
         return True
-    reach = float(np.ptp(response))
-    # Noise turns a response often, by little.
-    turns = [find_peaks(sign * response, prominence=VISIBLE * reach / 2)[0] for sign in (1, -1)]
-    places = np.sort(np.concatenate(turns))
+    size = float(np.ptp(response))
+    # The prominence leaves out the many small peaks of noise.
+    peaks, _ = find_peaks(response, prominence=VISIBLE * size / 2)
+    troughs, _ = find_peaks(-response, prominence=VISIBLE * size / 2)
+    places = np.sort(np.concatenate([peaks, troughs]))
     swings = np.abs(np.diff(response[places]))
-    is_slow = swings[1:] > RATIO * swings[:-1]
-    return bool(np.any(is_slow & (swings[1:] > VISIBLE * reach)))
+    decays_slowly = swings[1:] > RATIO * swings[:-1]
+    is_visible = swings[1:] > VISIBLE * size
+    return bool(np.any(decays_slowly & is_visible))

@@ -12,6 +12,7 @@ import numpy as np
 from greybox.data.files.arrays import Array, Interval, positive_or_one
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import NOTHING, Values, array_of
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.frequency_band import require_band
 from greybox.data.record import Record
@@ -33,6 +34,7 @@ from greybox.workflows.experiment.sine_schedules import sine_schedule
 QUIET_PERIODS = 4
 
 
+@public
 @frozen
 class SinePlan:
     """Sines to be flown one after another; printed, it is a table.
@@ -108,6 +110,7 @@ class SinePlan:
         )
 
 
+@public
 def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     model: Model,
     values: Values,

@@ -7,9 +7,11 @@ import numpy as np
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.workflows.experiment.excitation import Excitation, Maneuver, checked_band, round_up
 
 
+@public
 def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     omega: Sequence[float],
     amplitude: float | Sequence[float],

@@ -6,6 +6,7 @@ import numpy as np
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.files.arrays import Array
+from greybox.data.files.public import public
 from greybox.workflows.experiment.excitation import Excitation, Maneuver, checked_band, round_up
 
 # Periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple,
@@ -13,6 +14,7 @@ from greybox.workflows.experiment.excitation import Excitation, Maneuver, checke
 DWELL = 2
 
 
+@public
 def sweep(  # noqa: PLR0913 - each is one fact of the test card
     low: float,
     high: float,

@@ -28,15 +28,26 @@ from greybox.workflows.experiment.gain_objectives import (
 from greybox.workflows.experiment.loop_numbers import REST, loop_frequencies, margin_numbers
 from greybox.workflows.experiment.sampled_loop import DOT, LinearController, SampledLoop
 
-ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
+# Method of numpy's quantiles: interpolation between infinite values would be undefined.
+ORDER = "closest_observation"
 SENSITIVITY = "peak |S|"
 MARGINS = {"phase margin": "deg", "gain margin": "dB", "gain reduction margin": "dB"}
-NOISE, PEAK = "noise from ", "peak of "  # how names of rows begin
+# Beginnings of the names of rows.
+NOISE = "noise from "
+PEAK = "peak of "
 REJECTION = "disturbance rejection bandwidth"
 
 
 class Row(NamedTuple):
-    """A number (plants,) of loops with its unit, and whether it should be large."""
+    """A number of loops.
+
+    Attributes
+    ----------
+    values : (plants,) array
+    unit : str
+    is_large_better : bool
+        Whether a larger number is better.
+    """
 
     values: Array
     unit: str
@@ -53,23 +64,24 @@ class TodaysLoop:
     Attributes
     ----------
     loops : SampledLoop
-        Of the estimate, of draws from its distribution, and of plants beside it, which differ in
-        what the data do not determine.
+        The loops of the estimate, of draws from its distribution, and of plants beside it, which
+        differ from the estimate in directions that the data do not determine.
     draws : int
+        Number of draws.
     broken_at : str
-        Where the margins and the sensitivity are taken.
+        The signal at which the margins and the sensitivity are taken.
     tracking : (str, str) or None
         A setpoint, and the signal that follows it.
     responses : tuple of str
-        What a moment moves.
+        Signals whose response to a moment is judged.
     inputs : tuple of str
-        Those of the plant that the controllers drive.
+        Inputs of the plant that the controllers drive.
     measured : tuple of str
-        What the controllers read, with noise.
+        Signals that the controllers read, with noise.
     horizon : float, s
-        Over which responses to a moment are integrated.
+        Time over which responses to a moment are integrated.
     objective : function of loops
-        What should be small; by default the response to a moment.
+        A number (plants,) that should be small; by default the response to a moment.
     """
 
     loops: SampledLoop
@@ -93,16 +105,16 @@ class TodaysLoop:
         return self._target(self.loops)
 
     def at_the_estimate(self, controller: LinearController) -> tuple[float, Mapping[str, float]]:
-        """Return the objective with other gains, relative to today's, and what they worsen.
+        """Return how other gains change the loop of the estimate.
 
-        Both are those of the estimate alone, which takes little time. The second one has the
-        factors by which the numbers with limits get worse.
+        These are the objective relative to today's, and the factors by which the numbers with
+        limits get worse, by name. Only one plant is evaluated, which takes little time.
         """
-        alone = replace(self.loops.first, controller=controller)
+        estimate = replace(self.loops.first, controller=controller)
         with np.errstate(all="ignore"):
-            objective = float(self._target(alone)[0] / self.target[0])
+            objective = float(self._target(estimate)[0] / self.target[0])
         factors = {}
-        for name, row in self._limited_rows(alone).items():
+        for name, row in self._limited_rows(estimate).items():
             today = self.rows[name].values[:1]
             factors[name] = float(worsening(today, row.values, row.unit, row.is_large_better)[0])
         return objective, factors
@@ -111,67 +123,80 @@ class TodaysLoop:
     def changes(
         self, controller: LinearController, level: float
     ) -> tuple[GainChange, tuple[GainChange, ...]]:
-        """Return how other gains change the objective and each row, with intervals."""
+        """Return how other gains change the objective and each row, with intervals.
+
+        `level` is the probability of the intervals. The factors of all rows lie in their intervals
+        together with this probability.
+        """
         loops = replace(self.loops, controller=controller)
         rows = self._rows(loops)
         relative = Row(self.target / self.target[0], "")
-        other = Row(self._target(loops) / self.target[0], "")
-        # An interval of each row that is wide enough to hold together with all others.
+        changed = Row(self._target(loops) / self.target[0], "")
+        # The level of a single row (Bonferroni).
         joint = 1 - (1 - level) / len(rows)
+        objective = self._change("objective", relative, changed, level, joint)
         changes = [
             self._change(name, self.rows[name], row, level, joint) for name, row in rows.items()
         ]
-        return self._change("objective", relative, other, level, joint), tuple(changes)
+        return objective, tuple(changes)
 
     def _change(
         self, name: str, today: Row, changed: Row, level: float, joint: float
     ) -> GainChange:
+        """Return the change of a number; `joint` is the level of the interval of its factor."""
         factor = worsening(today.values, changed.values, today.unit, today.is_large_better)
         # Today's gains fly: a plant with which they are unstable is not this vehicle.
         factor = np.where(self.loops.is_stable, factor, math.nan)
-        drawn, beside = np.split(factor[1:], [self.draws])
-        drawn = drawn[~np.isnan(drawn)]
-        low = high = math.nan
-        if np.allclose(beside, factor[0], rtol=1e-3):
-            low, high = _ends(drawn, joint)
+        today_low, today_high = self._interval(today.values, level)
+        changed_low, changed_high = self._interval(changed.values, level)
+        low, high = self._interval(factor, joint)
         return GainChange(
-            name,
-            today.unit,
-            float(today.values[0]),
-            *self._interval(today.values, level),
-            float(changed.values[0]),
-            *self._interval(changed.values, level),
-            float(factor[0]),
-            low,
-            high,
+            name=name,
+            unit=today.unit,
+            today=float(today.values[0]),
+            today_low=today_low,
+            today_high=today_high,
+            changed=float(changed.values[0]),
+            changed_low=changed_low,
+            changed_high=changed_high,
+            worsening=float(factor[0]),
+            low=low,
+            high=high,
         )
 
     def _interval(self, values: Array, level: float) -> tuple[float, float]:
+        """Return the ends of the interval of a number (plants,).
+
+        They are NaN if the data do not determine the number: it then differs between the estimate
+        and the plants beside it.
+        """
         drawn, beside = np.split(values[1:], [self.draws])
         if not np.allclose(beside, values[0], rtol=1e-3):
             return math.nan, math.nan
         return _ends(drawn[~np.isnan(drawn)], level)
 
     def _target(self, loops: SampledLoop) -> Array:
-        with np.errstate(all="ignore"):  # unstable loops
+        """Return the objective (plants,) of loops; infinite for an unstable one."""
+        # Numbers of unstable loops may overflow.
+        with np.errstate(all="ignore"):
             return np.where(loops.is_stable, self.objective(loops), math.inf)
 
     def _rows(self, loops: SampledLoop) -> Rows:
-        """Return every number (plants,) of loops by name, the worst for an unstable one."""
+        """Return all numbers of loops by name.
+
+        A number of an unstable loop is zero if it should be large, and infinite otherwise.
+        """
         rows = self._margin_rows(loops) | self._limited_rows(loops)
         if self.tracking:
             rows |= self._step_rows(loops, *self.tracking)
-        is_stable = loops.is_stable
-        return {
-            name: row._replace(
-                values=np.where(is_stable, row.values, 0.0 if row.is_large_better else math.inf)
-            )
-            for name, row in rows.items()
-        }
+        return _with_worst_values(rows, loops)
 
     @np.errstate(all="ignore")
     def _limited_rows(self, loops: SampledLoop) -> dict[str, Row]:
-        """Return the numbers on which proposed gains have limits: moment, noise, sensitivity."""
+        """Return the numbers that proposed gains must not make much worse, by name.
+
+        These are the responses to moments, the noise at the actuator, and the peak sensitivity.
+        """
         rows = {}
         for name in self.inputs:
             for response in self.responses:
@@ -185,38 +210,44 @@ class TodaysLoop:
                 rows[f"{NOISE}{sensor} to {name}"] = Row(gain, "")
         peak = _peak_sensitivity(loops, self.broken_at)
         rows[SENSITIVITY] = Row(20 * np.log10(peak), "dB")
-        unstable = ~loops.is_stable
-        return {
-            n: row._replace(values=np.where(unstable, math.inf, row.values))
-            for n, row in rows.items()
-        }
+        return _with_worst_values(rows, loops)
 
     @np.errstate(all="ignore")
     def _margin_rows(self, loops: SampledLoop) -> dict[str, Row]:
+        """Return the margins and the disturbance rejection bandwidth, by name."""
         omega = loop_frequencies(loops)
         numbers = margin_numbers(loops.broken_at(self.broken_at, omega), omega, period=loops.period)
         rows = {name: Row(numbers[name].value, unit, True) for name, unit in MARGINS.items()}
         rows[REJECTION] = Row(numbers[REJECTION].value, "rad/s", True)
         return rows
 
-    @np.errstate(all="ignore")  # unstable loops
+    @np.errstate(all="ignore")
     def _step_rows(self, loops: SampledLoop, setpoint: str, response: str) -> dict[str, Row]:
+        """Return bandwidth, rise time and overshoot of the response to a setpoint, by name."""
         omega = loop_frequencies(loops)
         final = loops.gains(setpoint, [response], REST / loops.period)[..., 0].real
         size = np.abs(loops.gains(setpoint, [response], omega)[..., 0] / final)
+        bandwidth = crossings(size - math.sqrt(0.5), omega).last.value
         steps = step_numbers(loops, setpoint, response)
-        place = f"of {response}"
         return {
-            f"bandwidth {place}": Row(
-                crossings(size - math.sqrt(0.5), omega).last.value, "rad/s", True
-            ),
-            f"rise time {place}": Row(steps["rise time"].value, "s"),
-            f"overshoot {place}": Row(steps["overshoot"].value, "%"),
+            f"bandwidth of {response}": Row(bandwidth, "rad/s", True),
+            f"rise time of {response}": Row(steps["rise time"].value, "s"),
+            f"overshoot of {response}": Row(steps["overshoot"].value, "%"),
         }
 
 
+def _with_worst_values(rows: Rows, loops: SampledLoop) -> dict[str, Row]:
+    """Return rows with the worst possible value for every unstable loop."""
+    is_stable = loops.is_stable
+    answer = {}
+    for name, row in rows.items():
+        worst = 0.0 if row.is_large_better else math.inf
+        answer[name] = row._replace(values=np.where(is_stable, row.values, worst))
+    return answer
+
+
 def _ends(drawn: Array, level: float) -> tuple[float, float]:
-    """Return the ends of the interval of draws; NaN for none."""
+    """Return the ends of the interval of draws (d,); NaN if there are none."""
     if not drawn.size:
         return math.nan, math.nan
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], method=ORDER)
@@ -230,10 +261,20 @@ def todays_loop(
     broken_at: str,
     objective: Objective | None = None,
 ) -> TodaysLoop:
-    """Return the loop of these controllers.
+    """Return the loop of today's controllers, against which other gains are judged.
 
-    The responses to a moment are what the controllers measure, without derivatives where there are
-    other signals.
+    The signals whose response to a moment is judged are those that the controllers measure. If
+    there are others, derivatives are left out.
+
+    Parameters
+    ----------
+    controllers : sequence of Controller
+    loops : SampledLoop
+        With these controllers.
+    draws : int
+        Number of draws among the plants.
+    broken_at : str
+    objective : function of loops, optional
     """
     measured = sensors_of(controllers)
     driven = outside_names(controllers, "outputs")
@@ -244,41 +285,56 @@ def todays_loop(
         tracking = None
     horizon = moment_horizon(loops, broken_at)
     if objective is None:
-        # A moment that moves nothing has no size.
-        pairs = [(name, response) for name in inputs for response in responses]
-        sizes = {pair: moment_response(loops.first, *pair, horizon)[1][0] for pair in pairs}
+        sizes = {}
+        for name in inputs:
+            for response in responses:
+                _, rms = moment_response(loops.first, name, response, horizon)
+                sizes[name, response] = float(rms[0])
+        # Responses that a moment does not move are left out.
         least = 1e-9 * max(sizes.values())
         objective = MomentResponse(
-            horizon, {pair: float(size) for pair, size in sizes.items() if size > least}
+            horizon, {pair: size for pair, size in sizes.items() if size > least}
         )
     return TodaysLoop(
-        loops, draws, broken_at, tracking, responses, inputs, measured, horizon, objective
+        loops=loops,
+        draws=draws,
+        broken_at=broken_at,
+        tracking=tracking,
+        responses=responses,
+        inputs=inputs,
+        measured=measured,
+        horizon=horizon,
+        objective=objective,
     )
 
 
 def _peak_sensitivity(loops: SampledLoop, signal: str) -> Array:
-    """Return the largest magnitude (plants,) of the sensitivity at a signal, at all frequencies."""
+    """Return the largest magnitude (plants,) of the sensitivity at a signal."""
 
     def size(omega: Array) -> Array:
+        """Return the magnitudes (plants, n)."""
         return np.abs(loops.gains(signal, [signal], omega)[..., 0])
 
     omega = loop_frequencies(loops)
     coarse = size(omega)
-    # The peaks of all plants lie between these points of the grid.
+    # A finer grid covers the peaks of all plants.
     places = coarse.argmax(axis=1)
-    low, high = max(places.min() - 1, 0), min(places.max() + 1, len(omega) - 1)
+    low = max(places.min() - 1, 0)
+    high = min(places.max() + 1, len(omega) - 1)
     fine = size(np.geomspace(omega[low], omega[high], 400))
     return np.maximum(coarse.max(axis=1), fine.max(axis=1))
 
 
-@np.errstate(all="ignore")  # unstable loops
+# The covariance of an unstable loop overflows.
+@np.errstate(all="ignore")
 def noise_gain(loops: SampledLoop, sensor: str, signal: str) -> Array:
-    """Return the rms (plants,) of a signal per rms of white noise on the samples of a sensor.
+    """Return the rms (plants,) of a signal, for white noise with an rms of one at a sensor.
 
-    It is the norm H2 of the sampled loop.
+    This is the H2 norm of the sampled loop.
     """
     A, B, C, D = loops.closed(sensor, signal)
-    # The sum of A^k B B' A'^k is doubled in length by each step.
+    # The covariance of the states is the sum of A^k B B' A'^k. Each step doubles the number of its
+    # terms.
     covariance = B[:, :, None] * B[:, None]
     for _ in range(math.ceil(math.log2(samples_to_settle(loops, 1e-16)))):
         covariance = covariance + A @ covariance @ A.mT

@@ -19,6 +19,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import NOTHING, Values
+from greybox.data.files.public import public
 from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.modeling.integrators import RungeKutta
@@ -47,6 +48,7 @@ MOST_SUBSTEPS = 256
 ADDED = "_excitation"  # suffix of the excitation of a signal
 
 
+@public
 def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
     model: Model,
     values: Values | None,

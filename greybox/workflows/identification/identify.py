@@ -25,6 +25,7 @@ from greybox.data.files.folded_text import folded
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, attributes, non_empty
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.logs.known_filters import KnownFilter, KnownFilters
 from greybox.data.logs.readers import read
@@ -44,6 +45,7 @@ from greybox.workflows.identification.structure_fit import (
 )
 
 
+@public
 @frozen
 class Identification:
     """A model from logs; printed, it explains every choice and the comparison of structures.
@@ -144,6 +146,7 @@ class Identification:
             yield "\n".join([text_of(measurement), *recording.findings])
 
 
+@public
 def identify(  # noqa: PLR0913 - every choice that an analyst makes
     log: str | Path | Recording | Sequence[str | Path | Recording],
     *,

@@ -9,6 +9,7 @@ from greybox.data.files.arrays import Interval
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
@@ -22,6 +23,7 @@ from greybox.workflows.identification.measurement import named_signals
 SETTLED = 2.0  # s, as long as sines settle by default
 
 
+@public
 @frozen
 class MatrixMeasurement:
     """The measurement of several inputs at once.
@@ -50,6 +52,7 @@ class MatrixMeasurement:
         )
 
 
+@public
 def measure_matrix(
     recording: Recording,
     inputs: Sequence[str],

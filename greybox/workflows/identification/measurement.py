@@ -20,6 +20,7 @@ from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import non_empty
 from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted, listed
 from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
@@ -78,6 +79,7 @@ FEEDBACK = (
 )
 
 
+@public
 @dataclass(frozen=True)
 class Settings:
     """What to measure, and how.
@@ -210,6 +212,7 @@ def named_signals(texts: Sequence[str]) -> Mapping[str, str]:
     return signals
 
 
+@public
 @frozen
 class Measurement:
     """A measurement from a log; printed, it is a report.
@@ -319,6 +322,7 @@ class Measurement:
         return "\n\n".join(part for part in parts if part)
 
 
+@public
 def measure(recording: Recording, settings: Settings) -> Measurement:
     """Measure the response of the tests in a log.
 

@@ -13,6 +13,7 @@ from greybox.assessment.fitted_problem import problem_of
 from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array, ComplexArray, sum_of_squares
 from greybox.data.files.named_values import Values, selected
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.engine.regression.levy import coefficients, ratio, reweighted
@@ -143,6 +144,7 @@ def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArra
     return ratio(numerator, denominator, omega) * np.exp(-1j * omega * values["T_delay"])
 
 
+@public
 def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
     data: FrequencyResponse | Sequence[FrequencyResponse],
     n: Sequence[int] = (),

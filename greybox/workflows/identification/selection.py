@@ -14,6 +14,7 @@ from greybox.data.files.folded_text import folded
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, listed
 
@@ -95,6 +96,7 @@ class Candidate:
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 
 
+@public
 @frozen
 class Selection:
     """Structures that were fitted to the same data. Printing it gives the table and the verdict.

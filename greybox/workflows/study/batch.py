@@ -24,6 +24,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.normalization import normalize
 from greybox.data.files.progress import bar
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.engine.compiled.compiled_problem import AnyProblem, require_problem
@@ -59,6 +60,7 @@ from greybox.workflows.study.study import Study, read_study
 from greybox.workflows.study.study_lock import locked
 
 
+@public
 @frozen
 class Member:
     """One fit of a batch: a problem, and the other arguments of `greybox.fit`.
@@ -115,6 +117,7 @@ class Member:
         return getattr(rule, "number", 1)
 
 
+@public
 def batch(
     members: Sequence[Member | AnyProblem],
     folder: str | Path,

@@ -26,6 +26,7 @@ from greybox.data.files.json_numbers import plain
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.progress import bar
+from greybox.data.files.public import public
 from greybox.data.files.spelling import alternatives
 from greybox.data.files.text_table import text_table, titled
 from greybox.data.files.wording import counted, some
@@ -73,6 +74,7 @@ MANY_FAILED = 0.05
 FEWEST_IN_TAIL = 4
 
 
+@public
 @frozen
 class Bootstrap(Printed):
     """Replicates of an estimate; printed, they are a table of errors and intervals.
@@ -93,6 +95,14 @@ class Bootstrap(Printed):
         Why each replicate failed; empty for the others.
     warnings : tuple of str
     seconds : float
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=5)
+    >>> samples = gb.bootstrap(fit, replicates=4, progress=False)
+    >>> samples.values.shape
+    (4, 5)
     """
 
     name: str
@@ -267,6 +277,7 @@ def interval_text(ends: Sequence[float | None] | None) -> str:
     return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
 
 
+@public
 def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
     fit: Fit,
     replicates: int = 1000,

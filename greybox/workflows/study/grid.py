@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.files.named_values import selected
+from greybox.data.files.public import public
 from greybox.modeling.model import require_known
 from greybox.workflows.study.batch import Member
 from greybox.workflows.study.data_file import UnreadableError, reading_once
@@ -37,6 +38,7 @@ KEYS = (
 )
 
 
+@public
 def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
     """Return a member of a study for every combination of models, data and settings.
 

@@ -17,6 +17,7 @@ from greybox.data.files.control_characters import printable
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.packed import unpacked
 from greybox.data.files.printed import one_line
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.workflows.study.answer import LONGEST, checked_answer
 from greybox.workflows.study.database import (
@@ -35,6 +36,7 @@ Status = Literal["done", "failed", "unfinished"]
 FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 
 
+@public
 @frozen
 class StudyMember:
     """One fit of a study.

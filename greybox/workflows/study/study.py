@@ -22,6 +22,7 @@ from greybox.data.files.grouping import grouped, unique
 from greybox.data.files.numbers_in_text import number, with_error
 from greybox.data.files.optional_package import required
 from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, some
 from greybox.data.pandas_frames import Frame
@@ -53,6 +54,7 @@ OVERVIEW = (
 RECENT = 20
 
 
+@public
 @frozen
 class Study(Printed):
     """Members of a study, in their order; printed, it is a table that compares them."""
@@ -236,6 +238,7 @@ class Study(Printed):
         return terminal_text("\n\n".join(filter(None, [*blocks, self.failures])))
 
 
+@public
 @in_sentences
 def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
     """Read a study, also while it runs; `models` of one's own are given as in `greybox.load`.

@@ -489,22 +489,22 @@ def test_parts_may_disagree_without_a_cause():
 @pytest.mark.parametrize(
     ("left", "drift", "words"),
     [
-        (0.24, 0.75, "explains the data: the residuals follow none"),
+        (0.24, 0.75, "explains the data: no evidence of any"),
         (
             0.44,
             0.1,
-            "is not contradicted by the data: 44 % of their variance is left and follows none",
+            "is not contradicted by the data: 44 % of the variance is unexplained, with no evidence of any",
         ),
         (
             0.83,
             0.75,
-            "is not contradicted by the data: 83 % of their variance is left and follows none",
+            "is not contradicted by the data: 83 % of the variance is unexplained, with no evidence of any",
         ),
     ],
 )
 def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
     misfit = Misfit(left, left, 3, (), p_common=1.0, drift=drift, is_unstable=False)
-    assert misfit.verdict.startswith(f"{words} of 3 missing terms")
+    assert misfit.verdict.startswith(f"{words} of 3 candidate terms")
     assert misfit.is_conditional == (left > 0.25)
 
 
@@ -1315,7 +1315,9 @@ def test_a_response_of_zero_explains_nothing():
     s = 1j * np.geomspace(0.6, 30, 16)
     data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25), "u", "x")
     misfit = gb.fit(gb.Problem(Reversed(), data), starts=2, progress=False).misfit
-    assert misfit.verdict.startswith("does not explain the data: 100 % of their variance is left")
+    assert misfit.verdict.startswith(
+        "does not explain the data: 100 % of the variance is unexplained"
+    )
     assert "noise alone" not in misfit.verdict
     assert misfit.likely[0].code == "a path between both, or wider bounds"
 

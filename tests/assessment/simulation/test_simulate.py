@@ -440,8 +440,12 @@ def test_things_that_are_not_what_they_should_be():
         gb.simulate(Spring(), {}, driven(), integrator=gb.RungeKutta)
     with pytest.raises(TypeError, match="record is missing"):
         gb.predict(Spring(), {})
-    with pytest.raises(TypeError, match="values is None"):
+    with pytest.raises(TypeError, match="record is missing"):
         gb.simulate(Spring())
+    with pytest.raises(TypeError, match="values is <Record"):
+        gb.simulate(Spring(), driven())
+    declared = gb.simulate(Spring(), None, driven())
+    assert declared.is_same_as(gb.simulate(Spring(), {}, driven()))
     with pytest.raises(TypeError, match=r"initial is \[0, 1\]: give \{state: value\}"):
         gb.simulate(Spring(), {}, driven(), initial=[0, 1])
     with pytest.raises(TypeError, match="give one Record; for several, call it for each"):

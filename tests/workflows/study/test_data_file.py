@@ -218,7 +218,7 @@ def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
     (tmp_path / "words.csv").write_text("some words\nand more of them\n")
     with pytest.raises(
         ValueError,
-        match=r"words\.csv has no numeric column besides the time",
+        match=r"words\.csv has no column of numbers",
     ):
         read_data(tmp_path / "words.csv", Tilt())
 

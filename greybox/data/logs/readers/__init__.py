@@ -36,6 +36,7 @@ from typing import NamedTuple
 from greybox.data.clock import Gaps, require_gaps
 from greybox.data.files.argument_checks import is_finite_number
 from greybox.data.files.escapes import in_sentences
+from greybox.data.files.public import public
 from greybox.data.files.safe_files import require_file
 from greybox.data.logs.readers.other_formats import other_format
 from greybox.data.record import Recording
@@ -109,6 +110,7 @@ FORMATS = (
 )
 
 
+@public
 @in_sentences
 def read(
     path: str | Path,

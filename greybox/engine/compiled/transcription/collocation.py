@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.public import public
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.transcription.method import Transcribed, Transcription
@@ -16,6 +17,7 @@ from greybox.modeling.implicit_integrators import ImplicitIntegrator, Radau
 MOST_POINTS = 9
 
 
+@public
 @dataclass(frozen=True)
 class Collocation(Transcription):
     """Radau points between samples: no simulation, so stiff and unstable models cause no trouble.
@@ -29,6 +31,14 @@ class Collocation(Transcription):
         See `Transcription`.
     degree : int
         Collocation points a sample, 1 to 9; the order is twice that less one.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0].between(5, 10))
+    >>> gb.fit(problem, starts=1, method=gb.Collocation()).converged
+    True
     """
 
     degree: int = 3

@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.data.files.argument_checks import require_kind, require_whole
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.public import public
 from greybox.data.files.wording import counted
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
@@ -43,6 +44,7 @@ class Transcribed:
     start: Callable[[Array], Array]
 
 
+@public
 @dataclass(frozen=True)
 class Transcription(ABC):
     """A way to treat the states of records while parameters are estimated.
@@ -58,6 +60,11 @@ class Transcription(ABC):
         chosen from the growth of the unstable poles, between 5 and 10.
     hessian : "gauss-newton" or "exact"
         Hessian of the problem that IPOPT solves.
+
+    Examples
+    --------
+    >>> isinstance(gb.Collocation(), gb.Transcription)  # one of the included ones
+    True
     """
 
     segment: int | None = None

@@ -6,11 +6,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.data.files.public import public
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.transcription.method import Shooting, Transcribed
 
 
+@public
 @dataclass(frozen=True)
 class MultipleShooting(Shooting):
     """Segments of a few samples, Gauss-Newton steps, nodes eliminated; the default method.

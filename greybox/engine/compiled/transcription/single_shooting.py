@@ -5,11 +5,13 @@ from typing import Any
 
 import casadi as ca
 
+from greybox.data.files.public import public
 from greybox.engine.compiled.sample_step import SampleStep
 from greybox.engine.compiled.sampled_data import SampledData
 from greybox.engine.compiled.transcription.method import Shooting, Transcribed
 
 
+@public
 @dataclass(frozen=True)
 class SingleShooting(Shooting):
     """Simulation from the first sample: few unknowns, but not for an unstable plant.
@@ -23,6 +25,14 @@ class SingleShooting(Shooting):
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the poles along the data
         need.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0].between(5, 10))
+    >>> gb.fit(problem, starts=1, method=gb.SingleShooting()).converged
+    True
     """
 
     label = "single shooting"
