@@ -74,7 +74,7 @@ def sweep_jump(u: Array, y: Array) -> ClockJump | None:
 
 def _sweep(u: Array) -> slice | None:
     """Return the rows of a sweep: the longest stretch that has one frequency at a time."""
-    if not np.ptp(u) > 0:
+    if not (u.size and np.ptp(u) > 0):
         return None
     analytic = _analytic(u - u.mean())
     amplitude = np.abs(analytic)

@@ -14,6 +14,13 @@ from greybox.statistics.error_distribution import robust_deviation
 from greybox.statistics.huber import HuberErrors
 from greybox.statistics.metrics import is_resolved
 
+# Sizes of n normal residuals are judged by their median, which is as uncertain as the standard
+# deviation of this share of them.
+EFFICIENCY_OF_MEDIAN = 0.37
+# Mean square of the residuals over that of bounded ones, above which outliers are named: standard
+# errors are then 12 % larger than those of bounded errors. Normal errors have a ratio of 0.95.
+NAMED_GAIN = 1.25
+
 
 def outlying_samples(evidence: Evidence) -> Findings:
     """Name the outliers among the samples of records whose errors count as normal."""
@@ -31,12 +38,12 @@ def outlying_samples(evidence: Evidence) -> Findings:
             if not measured.size:
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-            # Of 10⁶ samples, ranks take a tenth of the fit, and 30 000 show the correlation.
+            # Ranking 10⁶ samples would take a tenth of the time of the fit; 30 000 suffice.
             shown = measured[:: 1 + len(measured) // 30_000]
             r, chance = _rank_correlation(size[shown], np.abs(part.simulated[output][shown]))
-            # Rounding follows what is rounded.
-            # Errors of one relative size have rank correlations of 0.3 to 0.8 with an output, and
-            # below 0.2 intervals hardly change.
+            # Errors by rounding depend on the output as well, so that only errors larger than the
+            # resolution count. Errors of one relative size have rank correlations of 0.3 to 0.8
+            # with an output, and below 0.2 intervals hardly change.
             follows = r > 0.2 and chance < SIZE / len(part.outputs)
             if follows and is_resolved(residual[0], part.data[output]):
                 yield Finding(
@@ -48,18 +55,18 @@ def outlying_samples(evidence: Evidence) -> Findings:
                     part.name,
                 )
                 continue
-            # The largest of many normal residuals is judged by their number. A median of their
-            # sizes is as uncertain as the standard deviation of 37 % of them.
-            samples = np.count_nonzero(size) or 1  # none in exact fits, which have no scale
-            count = np.count_nonzero(size > -stdtrit(0.37 * samples, SIZE / 2 / samples))
+            # In exact fits all sizes are zero.
+            samples = np.count_nonzero(size) or 1
+            # The more samples, the larger is the largest of normal residuals.
+            largest_normal = -stdtrit(EFFICIENCY_OF_MEDIAN * samples, SIZE / 2 / samples)
+            count = np.count_nonzero(size > largest_normal)
             if not count:
                 continue
             (bounded,) = HuberErrors().pseudo_errors([residual])
             gain = np.nanmean(residual**2) / np.nanmean(bounded**2)
-            # At this factor on the variance standard errors are 12 % larger. Normal errors have
-            # 0.95.
-            if gain > 1.25:
-                largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
+            if gain > NAMED_GAIN:
+                by_size = np.argsort(-size)
+                largest = [f"{t:.4g}" for t in part.data.time[by_size[: min(count, 4)]]]
                 yield Finding(
                     f"outliers are among the samples of {output} in {part.name!r} ({count}), up to "
                     f"{number(size.max(), 2)} standard deviations from the model, the "

@@ -1,9 +1,11 @@
 """Checks of arguments, whose messages name the value and say what to give."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, MappingView, Sequence, Set
 from numbers import Integral, Real
 from typing import Any
+
+import numpy as np
 
 
 def as_names(names: str | Iterable[str]) -> tuple[str, ...]:
@@ -32,8 +34,9 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
 
 def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
     """Return one item or several as a tuple, each checked by `require_kind`."""
-    # A record yields the names of its signals.
-    is_single = isinstance(items, kinds | str) or not isinstance(items, Iterable)
+    # Records and messages of a log can be iterated as well: they yield names.
+    is_several = isinstance(items, Sequence | Set | Mapping | MappingView | Iterator | np.ndarray)
+    is_single = isinstance(items, kinds | str) or not is_several
     listed = (items,) if is_single else tuple(items)
     for item in listed:
         require_kind(what, item, kinds, cure)

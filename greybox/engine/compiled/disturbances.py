@@ -1,7 +1,7 @@
-"""Responses of the outputs of a record to terms that its model does not have.
+"""How the outputs of a record would change if a term were added to its model.
 
-The responses are of first order. They begin at arbitrary initial states, since a fit of the terms
-also fits initial states. No other model is compiled, and the model may be unstable without
+The changes are of first order in the term. They begin at arbitrary initial states, since a fit of
+the term also fits initial states. No other model is compiled, and the model may be unstable without
 feedback.
 
 Shapes: a record has `samples` in s segments of `length` samples. The model has n states, m inputs
@@ -25,11 +25,12 @@ from greybox.modeling.added_terms import factors_of_derivatives
 Effect = Array
 """The additions of c terms to next states and residuals, (length, s, n + k, c)."""
 
-# Logarithm of the growth of an error over a record above which the model counts as unstable: the
-# error grows a hundredfold.
+# A model counts as unstable if an error of its states grows a hundredfold over the record; this is
+# the logarithm of that factor.
 UNSTABLE = 4.6
 
-# Replaces a parameter of zero, which would hide the terms that it multiplies.
+# Replaces a parameter that is zero: the slopes of the formulas with respect to what it multiplies
+# would be zero, too.
 NONZERO = 1e-12
 
 
@@ -43,8 +44,11 @@ class DisturbedRecord:
     spread : (k, 1) array, or 1.0
         Where the residuals are means over some samples: the factor by which averaging reduced their
         standard deviations.
-    states, inputs, outputs, residuals, present : (n, m, k, k or k, samples) arrays
-        The signals in the order of the samples; `present` marks the measured outputs.
+    states : (n, samples) array
+    inputs : (m, samples) array
+    outputs, residuals : (k, samples) arrays
+    present : (k, samples) array
+        Whether an output was measured.
     step : float, s
     weight : (k, k) array
         Weight of the residuals.
@@ -61,8 +65,8 @@ class DisturbedRecord:
         placed = trajectory.detail
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        # Slopes of the next states and the residuals with respect to v states and parameters,
-        # (length, s, n + k, v).
+        # Slopes of the n next states and the k residuals with respect to the states and the active
+        # parameters, v in all: (length, s, n + k, v).
         slopes = segments.sample_derivatives(trajectory.course)
         self._slopes = slopes.reshape(segments.length, segments.count, *slopes.shape[1:])
         self.states = segments.in_order(trajectory.states)
@@ -73,8 +77,8 @@ class DisturbedRecord:
         self.is_predicted = bool(part.gains)
         # The rows of the data, see `SampledData.rows`: m delays; every input at the sample before,
         # at the sample, and after it; k outputs; k marks of measured outputs; the step.
-        inputs_around = segments.in_order(data[m : 4 * m])
-        self.inputs = inputs_around[1::3]
+        before_at_and_after = segments.in_order(data[m : 4 * m])
+        self.inputs = before_at_and_after[1::3]
         self.present = segments.in_order(data[-1 - k : -1])
         self._half_steps = self._by_sample(part.data.steps)[..., None] / 2
         self.parameters = placed.q
@@ -182,8 +186,8 @@ class DisturbedRecord:
         effects = []
         for effect_of, group in groupby(changes, itemgetter(0)):
             values = np.array([values for _, values in group])
-            # Residuals are measured less simulated outputs: what is subtracted changes residuals
-            # as what is added changes outputs.
+            # A residual is the measured output less the simulated one. With the sign of the values
+            # reversed, the change of the residuals is that of the outputs.
             effects.append(effect_of(-values))
         ends, rows = self._carried(np.concatenate(effects, axis=3))
         if part.states:

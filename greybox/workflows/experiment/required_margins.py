@@ -59,17 +59,19 @@ class RequiredMargins:
     is_good: BoolArray
 
     def judged(self, control: LinearController) -> tuple[float, list[float]]:
-        """Return the share of draws that have the margins, and crossovers that are not measured.
+        """Return the share of draws that have the margins, and crossovers that were not measured.
 
-        The share is zero if the estimate fails, whose draws are not tried, and NaN with a crossover
-        that was not measured.
+        If the estimate itself fails, the share is zero, and no draw is tried. If a crossover was
+        not measured, the share is NaN.
         """
         meets, places = self._met(replace(self.loops.first, controller=control))
         if not meets[0]:
             return 0.0, []
-        share = float(np.mean(self._met(replace(self.loops, controller=control))[0][1:]))
+        of_all, _ = self._met(replace(self.loops, controller=control))
+        share = float(np.mean(of_all[1:]))  # the estimate comes first
         poor = [omega for omega in places if not self._is_measured(omega)]
-        # A loop without a crossover has it below the lowest frequency, if at all.
+        # Without a crossover in the band its frequency is 0. It may lie below the band, so it
+        # counts as not measured, but there is no frequency to name.
         return math.nan if poor else share, [omega for omega in poor if omega > 0]
 
     def _met(self, loops: SampledLoop) -> tuple[BoolArray, list[float]]:
@@ -86,8 +88,9 @@ class RequiredMargins:
         first = with_and_without[0]
         meets &= first["delay margin"].value >= self.wanted["delay"]
         for numbers in with_and_without:
-            for name, least in (("phase", "phase"), ("gain", "gain"), ("gain reduction", "gain")):
-                meets &= numbers[f"{name} margin"].value >= self.wanted[f"{least} margin"]
+            meets &= numbers["phase margin"].value >= self.wanted["phase margin"]
+            meets &= numbers["gain margin"].value >= self.wanted["gain margin"]
+            meets &= numbers["gain reduction margin"].value >= self.wanted["gain margin"]
         return meets, [first[name].first[1] for name in ("phase margin", "crossover")]
 
     def _is_measured(self, omega: float) -> bool:

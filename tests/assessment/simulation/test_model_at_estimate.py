@@ -72,7 +72,7 @@ def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
     ("model", "values", "error", "sentence"),
     [
         (Spring, {}, TypeError, r"model is <class .*>: give an instance"),
-        (Spring(), None, TypeError, r"values is None: give \{name: value\} or a Fit"),
+        (Spring(), 3, TypeError, r"values is 3: give \{name: value\} or a Fit"),
         (Spring(), {"stiff": 1.0}, ValueError, "Spring has no parameter 'stiff'"),
         (
             Spring(),
