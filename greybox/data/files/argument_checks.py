@@ -1,7 +1,7 @@
 """Checks of arguments, whose messages name the value and say what to give."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, MappingView, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set, ValuesView
 from numbers import Integral, Real
 from typing import Any
 
@@ -35,7 +35,7 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
 def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
     """Return one item or several as a tuple, each checked by `require_kind`."""
     # Records and messages of a log can be iterated as well: they yield names.
-    is_several = isinstance(items, Sequence | Set | Mapping | MappingView | Iterator | np.ndarray)
+    is_several = isinstance(items, Sequence | Set | Mapping | ValuesView | Iterator | np.ndarray)
     is_single = isinstance(items, kinds | str) or not is_several
     listed = (items,) if is_single else tuple(items)
     for item in listed:
