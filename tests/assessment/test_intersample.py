@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 import greybox as gb
+from greybox.assessment.verdict import verdict
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import LinearTilt
 
@@ -386,24 +387,28 @@ class DelayedLag(gb.TransferFunction):
 
 
 @pytest.mark.parametrize(
-    ("about", "late"),
+    ("about", "late", "grade"),
     [
-        ({}, "up to 79 ms"),
-        ({"hold of the input not stated; sampling interval, s": "0.02"}, "10 ms"),
-        ({"hold of the input not stated; sampling interval, s": "0.0001"}, ""),
-        ({"hold of the input, s": "0.02"}, ""),
-        ({"hold of the input, s": "0"}, ""),
+        # With an unknown interval it may be 79 ms or a tenth of one: a remark, no doubt.
+        ({}, "up to 79 ms", "good"),
+        ({"hold of the input not stated; sampling interval, s": "0.02"}, "10 ms", "doubt"),
+        ({"hold of the input not stated; sampling interval, s": "0.0001"}, "", "good"),
+        ({"hold of the input, s": "0.02"}, "", "good"),
+        ({"hold of the input, s": "0"}, "", "good"),
     ],
 )
-def test_a_delay_of_a_response_whose_hold_nobody_states_is_in_doubt(about, late):
+def test_a_delay_of_a_response_whose_hold_nobody_states_is_in_doubt(about, late, grade):
     omega = np.geomspace(0.5, 20, 20)
     random = np.random.default_rng(0)
     errors = 1 + 0.01 * random.normal(size=(20, 2)) @ [1, 1j]
     exact = 2 * np.exp(-0.1j * omega) / (0.5j * omega + 1)
     data = gb.FrequencyResponse(omega, exact * errors, "u", "y", about=about)
     fit = gb.fit(gb.Problem(DelayedLag(), data), starts=2, progress=False)
-    assert len(fit.warnings) == bool(late)
-    assert not late or f"contains half a sample, {late}, which" in fit.warnings[0]
+    said = [text for text in (*fit.warnings, *fit.notes) if "half a sample" in text]
+    assert len(said) == bool(late)
+    assert not late or f"contains half a sample, {late}, which" in said[0]
+    assert verdict(fit).grade == grade
+    assert bool(fit.warnings) == (grade == "doubt")
     # A model without a delay has nothing to doubt.
     fixed = gb.Problem(DelayedLag(), data, fixed={"tau": 0.1})
     assert not any("half a sample" in w for w in gb.fit(fixed, starts=2, progress=False).warnings)

@@ -21,7 +21,8 @@ TINY = 1e-300
 def unstated_holds(evidence: Evidence) -> Findings:
     """Name delays of responses that may be half a sample too long by more than a standard error.
 
-    A hold is half a sample of delay and little else, so that the residuals do not show it.
+    A hold is half a sample of delay and little else, so that the residuals do not show it. The fit
+    is in doubt where the sampling interval is known; elsewhere it is a remark.
     """
     nlp, errors = evidence.nlp, evidence.fit.standard_error
     values = nlp.all_values(evidence.x)
@@ -48,6 +49,8 @@ def unstated_holds(evidence: Evidence) -> Findings:
                 f"'# {HOLD}: 0.01' in the file.",
                 "unstated hold",
                 part.name,
+                # Without the sampling interval nothing shows that half of it matters.
+                is_note=not is_known,
             )
 
 
