@@ -401,13 +401,12 @@ class Thrust(gb.StateSpace):
         self.lagged = () if speeds else numbered("w", count)
         self.delays = {} if speeds else dict.fromkeys(self.commands, "T_delay")
         self.climb = ("v_z",) if climb else ()
-        absent = (*(self.of_lag if speeds else ()), *(() if climb else self.of_climb))
-        self.parameters = {
-            name: parameter
-            for name, parameter in type(self).parameters.items()
-            if name not in absent
-        }
+        self.leave_out((*(self.of_lag if speeds else ()), *(() if climb else self.of_climb)))
         self.declare((*self.climb, *self.lagged), self.commands, ("a_z",))
+
+    def leave_out(self, names):
+        """Remove parameters of these names from this vehicle, where it has them."""
+        self.parameters = {n: value for n, value in self.parameters.items() if n not in names}
 
     def declare(self, states, inputs, outputs):
         """Set the signals and their units."""
@@ -419,7 +418,7 @@ class Thrust(gb.StateSpace):
     def label(self):
         return f"{type(self).__name__} of {len(self.rotors)} rotors"
 
-    def trim(self, at, p):
+    def trim(self, at, p):  # type: ignore[override]  (the class has a function or None)
         """Return hover: all rotors at the speed at which their thrusts carry the vehicle."""
         moved = [name for name in at if name not in (*POSITION, "psi")]
         if moved:
@@ -428,8 +427,11 @@ class Thrust(gb.StateSpace):
             )
         share = gb.g / len(self.rotors) - p.c_0
         speed = 2 * share / (p.c_1 + gb.sqrt(p.c_1**2 + 4 * p.c_2 * share))
-        point = dict.fromkeys((*self.states, *self.inputs), 0.0) | self.state_starts
-        point |= dict.fromkeys((*self.lagged, *self.commands), speed)
+        point = {
+            **dict.fromkeys((*self.states, *self.inputs), 0.0),
+            **self.state_starts,
+            **dict.fromkeys((*self.lagged, *self.commands), speed),
+        }
         return {name: value for name, value in point.items() if name not in at}
 
     def rotor_signals(self, x, u):
@@ -509,7 +511,8 @@ class Rotation(Thrust):
         )
         for axis in ("roll", "pitch", "yaw")
     )
-    derived = Thrust.derived | {
+    derived = {
+        **Thrust.derived,
         "J_x": lambda p: p.m * p.j_x,
         "J_y": lambda p: p.m * p.j_y,
         "J_z": lambda p: p.m * p.s_z * (p.j_x + p.j_y),
@@ -522,11 +525,11 @@ class Rotation(Thrust):
         self.axes = tuple(rate for rate in RATES if rate in axes)
         measured = tuple(rate for rate in RATES if rate not in axes)
         unused = [f"delta_{rate}" for rate in measured] + (["k_m", "h"] if "r" in measured else [])
-        for name in unused:
-            self.parameters.pop(name, None)
+        self.leave_out(unused)
         if "r" in measured:
             # Without yaw, nothing says how far the assumed s_z is from the truth.
-            self.derived = {name: f for name, f in type(self).derived.items() if name != "J_z"}
+            derived = {name: f for name, f in type(self).derived.items() if name != "J_z"}
+            self.derived = derived  # type: ignore[misc]  (of the class; here of this vehicle)
         self.declare((*self.axes, *self.lagged), (*self.commands, *measured), self.axes)
 
     @property
@@ -625,10 +628,9 @@ class Multirotor(Rotation):
         rigid = (*self.position, *(VELOCITY if attitude else ()), *self.attitude, *RATES)
         self.declare((*rigid, *self.lagged), self.commands, (*rigid, *SPECIFIC_FORCE))
         if attitude:
-            self.parameters["a5_z"] = type(self).a5_z
+            self.parameters = {**self.parameters, "a5_z": type(self).a5_z}
         else:
-            for name in self.of_motion:
-                del self.parameters[name]
+            self.leave_out(self.of_motion)
 
     def force(self, x, u, p):
         """Return the specific force in body axes."""

@@ -7,6 +7,8 @@ last longer than a sample are states of their own.
 """
 
 from dataclasses import replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -189,7 +191,7 @@ def _several(model, flights, signals, **options):
         record = replace(flight, **kept)
         name = f"{model.label}, flight {number}"
         problems.append(gb.Problem(model, record, name=name, **options))
-    return problems[0] if len(problems) == 1 else sum(problems)
+    return reduce(add, problems)
 
 
 def _has(recording, name):
