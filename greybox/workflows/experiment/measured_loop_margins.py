@@ -98,9 +98,9 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         notes.append("No intervals: the response has no variance.")
     if unmeasured:
         notes.append(
-            f"The measurement, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a loop gain of "
-            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}, does not reach: "
-            f"{listed(unmeasured)}. Fly other frequencies; nothing is extrapolated."
+            f"Not measured, and nothing is extrapolated: {listed(unmeasured)}. The data cover "
+            f"{omega[0]:.3g} to {omega[-1]:.3g} rad/s, with loop gains of {abs(gain[0, 0]):.2g} to "
+            f"{abs(gain[0, -1]):.2g}: fly a wider band."
         )
     if "phase margin 2" in numbers:
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
