@@ -75,6 +75,11 @@ def text(fit: Any, table: str = "") -> str:
     return titled(title(fit), ["\n\n".join(paragraphs)])
 
 
+def has_systematic_errors(fit: Any) -> bool:
+    """Return whether a standard error contains an error that all points of a response share."""
+    return any(q.systematic > 0 for q in fit.quantities)
+
+
 def table_of_parameters(fit: Any) -> str:
     """Return the table of all quantities as text."""
     parameters = parameter_table(fit)
@@ -178,15 +183,15 @@ def parameter_table(fit: Any) -> Table:
         return Table(header, rows, left=(0, 2, 4, 5))
 
     header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
-    has_systematic = any(q.systematic > 0 for q in fit.quantities)
-    if has_systematic:
+    systematic_is_shown = has_systematic_errors(fit)
+    if systematic_is_shown:
         header.insert(3, "systematic")
     for q in fit.quantities:
         # The biases and noise of a hundred records would fill pages.
         if not _is_of_later_record(q.name, len(fit.records)):
             value, error = with_error(q.value, q.standard_error)
             systematic = [number(q.systematic, 2) if q.systematic > 0 else "-"]
-            errors = [error, *systematic] if has_systematic else [error]
+            errors = [error, *systematic] if systematic_is_shown else [error]
             rows.append([q.name, value, *errors, q.unit, *_bounds_and_note(q), q.about])
     if len(rows) < len(fit.quantities):
         rest = len(fit.quantities) - len(rows)
@@ -244,7 +249,7 @@ def error_statement(fit: Any) -> str:
     is_wrong = fit.misfit and not fit.misfit.explains
     valid = ", valid only if the model explains the data" if is_wrong else ""
     common = ""
-    if any(q.systematic > 0 for q in fit.quantities):
+    if has_systematic_errors(fit):
         common = (
             "; it includes what is systematic: the effect of errors that all points of a response "
             "share, which longer tests do not reduce"

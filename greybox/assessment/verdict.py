@@ -8,7 +8,7 @@ from greybox.assessment.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GU
 from greybox.assessment.wrapped_outputs import wrapped
 from greybox.data.files.named_values import without
 from greybox.data.files.numbers_in_text import percent
-from greybox.data.files.wording import counted, some
+from greybox.data.files.wording import capitalized, counted, some
 from greybox.engine.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]
@@ -59,7 +59,7 @@ def verdict(fit: Any) -> Verdict:
         return Verdict("failed", (f"There is no estimate: {fit.status}.", *fit.warnings[:1]))
 
     # Jumps of the data explain all that follows.
-    opinions = [Opinion(False, f"{text[0].upper()}{text[1:]}") for text in wrapped(fit)]
+    opinions = [Opinion(False, capitalized(text)) for text in wrapped(fit)]
     if fit.left_out:
         count = counted(len(fit.left_out), "check")
         text = f"{count} were left out, so nobody looked for what they find."

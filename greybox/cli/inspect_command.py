@@ -3,12 +3,14 @@
 import argparse
 import shlex
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from greybox.cli.options import option_words
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.excited_segment import Segments, segment_table
+from greybox.data.files.grouping import grouped
 from greybox.data.files.named_values import attributes
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.text_table import text_table
@@ -83,7 +85,7 @@ def faults_of_table(recording: Recording) -> tuple[str, ...]:
     if len(recording) != 1:
         return ()
     (record,) = recording.values()
-    names_by_text: dict[str, list[str]] = {}
+    said = []  # pairs of a signal and what follows its name
     for name in record.signals:
         certain = record_faults(record, (), (name,))
         texts = [*map(str, certain)]
@@ -91,14 +93,13 @@ def faults_of_table(recording: Recording) -> tuple[str, ...]:
         if not certain and not record.hold.get(name):
             faults = record_faults(record, (name,))
             texts += [f"{fault} If it is an input, this may be right." for fault in faults]
-        for text in texts:
-            names_by_text.setdefault(text.removeprefix(name), []).append(name)
+        said += [(name, text.removeprefix(name)) for text in texts]
     # A logger treats its signals alike.
-    said = []
-    for text, (first, *others) in names_by_text.items():
-        likewise = f" (likewise {listed(others)})" if others else ""
-        said.append(f"{first}{likewise}{text}")
-    return tuple(said)
+    sentences = []
+    for (first, text), *alike in grouped(said, itemgetter(1)):
+        likewise = f" (likewise {listed([name for name, _ in alike])})" if alike else ""
+        sentences.append(f"{first}{likewise}{text}")
+    return tuple(sentences)
 
 
 def _tests(recording: Recording, segments: Segments, manoeuvres: Segments) -> str:

@@ -9,6 +9,7 @@ from greybox.cli.output import Answer, require_figure, require_writable, save_fi
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.data.files.named_values import attributes
 from greybox.data.files.version import __version__
+from greybox.data.files.wording import capitalized
 from greybox.data.record import Recording
 from greybox.workflows.experiment.gain_file import write_gains
 from greybox.workflows.experiment.gain_objectives import RejectionBandwidth
@@ -136,7 +137,7 @@ def _comments(safe: SafeGains, options: argparse.Namespace, log: Recording | Non
     return [
         f"greybox {__version__}, {date.today()}, from {', '.join(sources)}",
         f"Today's gains: {today}",
-        safe.verdict[0].upper() + safe.verdict[1:],
+        capitalized(safe.verdict),
         str(safe.comparison),
         PROMISE,
     ]

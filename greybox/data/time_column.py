@@ -122,6 +122,11 @@ def is_clock_name(name: str) -> bool:
     return _clock_and_unit(name)[0] not in ("", SHORT)
 
 
+def stands_still(values: Array) -> bool:
+    """Return whether a column (n,) never changes: as a clock it shows nothing."""
+    return values.size > 1 and bool(np.ptp(values) == 0)
+
+
 def unit_of_clock(name: str) -> str:
     """Return the unit in the name of a clock, as in ``t_ms`` and ``TimeUS``; empty without one."""
     return _clock_and_unit(name)[1]
@@ -183,10 +188,9 @@ def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tu
         base = Heading(name, "").base
         clock, suffix = _clock_and_unit(base)
         is_stated = bool(suffix or units.get(name))
-        # A clock that stands still shows nothing.
-        is_moving = values.size < 2 or np.ptp(values) != 0
         is_part = name in pair or name in of_day
-        is_clock = is_moving and not is_part and seconds(base, units.get(name, ""))
+        has_unit = bool(seconds(base, units.get(name, "")))
+        is_clock = has_unit and not (is_part or stands_still(values))
         is_of_samples = clock in OF_SAMPLES
         # T may be a temperature or a thrust, and the times of samples may be unset.
         is_doubtful = base == "T" and not is_stated

@@ -9,6 +9,11 @@ def counted(count: float, singular: str, plural: str = "") -> str:
     return f"{amount} {singular if count == 1 else plural or singular + 's'}"
 
 
+def capitalized(sentence: str) -> str:
+    """Return a sentence with a capital letter at its beginning."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def listed(names: Sequence[str]) -> str:
     """Return "a", "a and b" or "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from greybox.data.files.numbers_in_text import number
+from greybox.data.files.wording import capitalized
 from greybox.reporting.html_report.elements import Cell, Child, figure_grid, number_cell, table, tag
 from greybox.reporting.plotting.gains import comparison_figures, gains_figure
 from greybox.reporting.plotting.loops import loop_figures
@@ -15,7 +16,7 @@ def margin_section(loops: Sequence[Margins]) -> Iterator[tuple[str, Child]]:
     """Yield the title and the content of the section about margins, if there are any."""
     content = []
     for loop in loops:
-        content.append(tag("p", tag("strong", _capital(loop.verdict))))
+        content.append(tag("p", tag("strong", capitalized(loop.verdict))))
         if loop.margins:
             content.append(_margin_table(loop))
         content += [tag("p", note, class_="soft") for note in loop.notes]
@@ -52,7 +53,7 @@ def gain_section(safe: SafeGains | None) -> Iterator[tuple[str, Child]]:
     """Yield the title and the content of the section about gains, if there are any."""
     if safe is None:
         return
-    content = [tag("p", tag("strong", _capital(safe.verdict)))]
+    content = [tag("p", tag("strong", capitalized(safe.verdict)))]
     comparison = safe.comparison
     if comparison and safe.is_usable:
         header, rows = comparison.table()
@@ -70,8 +71,3 @@ def gain_section(safe: SafeGains | None) -> Iterator[tuple[str, Child]]:
     content += [tag("p", note, class_="soft") for note in safe.notes]
     content.append(figure_grid([gains_figure(safe), *comparison_figures(safe)]))
     yield "Gains", content
-
-
-def _capital(sentence: str) -> str:
-    """Return a sentence with a capital letter."""
-    return sentence[:1].upper() + sentence[1:]

@@ -16,6 +16,7 @@ from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
+from greybox.data.files.wording import capitalized
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.workflows.experiment.drawn_loops import DRAWN
 from greybox.workflows.experiment.sampled_loop import SampledLoop
@@ -200,7 +201,7 @@ class Margins(Printed):
         first = "of the model" if measured else "value"
         header = ("", f"{first}{interval}", *names, "unit", "rad/s")
         table = [text_table(header, rows)] if rows else []
-        lines = [self.verdict[0].upper() + self.verdict[1:], *table, *self.notes]
+        lines = [capitalized(self.verdict), *table, *self.notes]
         return folded("\n".join(lines))
 
     def _is_told(self, margin: Margin) -> bool:

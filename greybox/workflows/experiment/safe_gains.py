@@ -23,7 +23,7 @@ from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.public import public
 from greybox.data.files.text_table import text_table
-from greybox.data.files.wording import listed
+from greybox.data.files.wording import capitalized, listed
 from greybox.data.frequency_band import number_pair
 from greybox.modeling.model import require_known
 from greybox.workflows.experiment.controller import Controller, Controllers
@@ -222,7 +222,7 @@ class SafeGains(Printed):
         if math.isnan(self.today_confidence):
             today = "Whether today's gains meet them is not known: their crossover lies there."
         lines = [
-            _capital(self.verdict),
+            capitalized(self.verdict),
             str(self.comparison) if self.comparison and self.is_usable else "",
             self._meeting if self.allowed.any() else "",
             text_table(header, rows),
@@ -234,10 +234,6 @@ class SafeGains(Printed):
             *self.notes,
         ]
         return "\n".join(filter(None, lines))
-
-
-def _capital(sentence: str) -> str:
-    return sentence[:1].upper() + sentence[1:]
 
 
 @public

@@ -13,7 +13,11 @@ from typing import Any
 import numpy as np
 
 from greybox.assessment.fit import fit
-from greybox.assessment.printed import table_of_parameters, text as text_of_fit
+from greybox.assessment.printed import (
+    has_systematic_errors,
+    table_of_parameters,
+    text as text_of_fit,
+)
 from greybox.assessment.result import Fit
 from greybox.assessment.transfer_function_numbers import (
     TransferFunctionNumbers,
@@ -125,7 +129,7 @@ class Identification:
         # The coefficients of a rational structure are no quantities of the reader's.
         is_rational = all(q.has_computed_bounds for q in fit.quantities if q.kind == "free")
         # Only the table of the parameters shows what longer tests do not reduce.
-        if is_rational and not any(q.systematic > 0 for q in fit.quantities):
+        if is_rational and not has_systematic_errors(fit):
             return text_of_fit(fit, str(numbers))
         return f"{fit}\n\nTransfer function:\n{numbers}"
 

@@ -22,7 +22,7 @@ from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
 from greybox.data.logs.readers.table_columns import MOST_DEVICES
 from greybox.data.record import Recording
-from greybox.data.time_column import clock_names, is_clock_name, seconds
+from greybox.data.time_column import clock_names, is_clock_name, seconds, stands_still
 
 Rows = Sequence[tuple[int, Sequence[str]]]  # numbers of lines and their cells
 
@@ -100,12 +100,9 @@ def read(
     unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
     if unread and not (rate or any(map(is_clock_name, clock))):
         values = columns.get(unread[0].name)
-        stands_still = values is not None and values.size > 1 and np.ptp(values) == 0
-        fault = (
-            "which stands still"
-            if stands_still
-            else "which is not a time in numbers with a known unit"
-        )
+        fault = "which is not a time in numbers with a known unit"
+        if values is not None and stands_still(values):
+            fault = "which stands still"
         raise ValueError(
             f"{path} has the column '{unread[0]}', {fault}: give it in seconds as 'time [s]', "
             "state the rate, rate=HZ, or give it another name if it is not a time."
