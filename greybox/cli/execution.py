@@ -51,6 +51,8 @@ def _answer(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
             result, *lines = options.command(options)
             # Texts and warnings name the arguments that would choose otherwise.
             text = "" if options.quiet else as_options("\n".join(lines), options)
+            if error := result.get("error"):
+                result["error"] = as_options(error, options)
             return result, text, USABLE
         except SystemExit:  # argparse has finished by now: only a user's file calls it here
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT

@@ -337,3 +337,14 @@ def test_one_input_has_one_instrument():
         match=r"--instrument SIDD\.Targ X\.y has more signals than there are inputs",
     ):
         stated_choices(Namespace(instrument=["SIDD.Targ", "X.y"]))
+
+
+def test_a_refused_multisine_names_the_option_that_states_its_period(capsys, tmp_path):
+    time = np.arange(2000) / 100
+    phases = np.pi * time[:, None] * np.array([1, 2, 3, 5])
+    path = tmp_path / "multisine.csv"
+    columns = np.c_[time, np.sin(phases).sum(axis=1), np.sin(phases - 0.3).sum(axis=1)]
+    np.savetxt(path, columns, delimiter=",", header="time [s],u,y", comments="")
+    _, out, err = run(capsys, "response", path, "--input", "u", "--output", "y", "--whole")
+    assert "state it, --period 2." in err
+    assert "--period 2." in out
